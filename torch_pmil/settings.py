@@ -47,15 +47,13 @@ class Setting:
         """
         if self.kind == "bool":
             return "true or false"
-        bounds = {
-            "above": self.above,
-            "at least": self.least,
-            "below": self.below,
-            "at most": self.most,
-        }
-        parts = ["whole number"] if self.kind == "int" else []
-        parts += [f"{word} {_number(bound)}" for word, bound in bounds.items() if bound is not None]
-        return ", ".join([self.words, *parts] if self.words else parts)
+        parts = [self.words] if self.words else []
+        parts += ["whole number"] if self.kind == "int" else []
+        bounds = (self.above, self.least, self.below, self.most)
+        for word, bound in zip(("above", "at least", "below", "at most"), bounds, strict=True):
+            if bound is not None:
+                parts.append(f"{word} {int(bound) if bound == int(bound) else bound:g}")
+        return ", ".join(parts)
 
     def __str__(self) -> str:
         unit = f"; unit: {self.unit}" if self.unit else ""
@@ -92,9 +90,8 @@ def setting(default: Any, meaning: str, kind: str = "", **words: Any) -> Any:
 
     Args:
         default: its value; ``...`` if it must be given.
-        meaning: what it is.
+        meaning, words: arguments of :class:`Setting`.
         kind: of its values, where the field's annotation is wider.
-        words: further arguments of :class:`Setting`.
     """
     metadata = {"meaning": meaning, "kind": kind, **words}
     return field(metadata=metadata) if default is ... else field(default=default, metadata=metadata)
@@ -103,8 +100,7 @@ def setting(default: Any, meaning: str, kind: str = "", **words: Any) -> Any:
 class Settings:
     """A dataclass whose fields are settings, or groups of settings.
 
-    ``prefix`` begins the names of its settings. Adding a setting takes one line, a field by
-    :func:`setting`.
+    ``prefix`` begins the names of its settings, each of which is a field by :func:`setting`.
 
     Raises:
         ValueError: a setting is of another type, or out of range.
@@ -140,8 +136,10 @@ class Settings:
     @property
     def adjustable(self) -> dict[str, object]:
         """All settings, those of groups too: full names and values, in types that JSON has."""
-        own = {name: getattr(self, name.removeprefix(self.prefix)) for name in self.declared()}
-        values = {name: _plain(value) for name, value in own.items()}
+        values: dict[str, object] = {}
+        for name in self.declared():
+            value = getattr(self, name.removeprefix(self.prefix))
+            values[name] = value.tolist() if isinstance(value, Tensor) else value
         for group in self._own_groups().values():
             values |= group.adjustable
         return values
@@ -200,10 +198,6 @@ def _kind(annotation: object) -> str:
     return text.replace("torch.", "")
 
 
-def _plain(value: object) -> object:
-    return value.tolist() if isinstance(value, Tensor) else value
-
-
 def _read(name: str, value: object, kind: str) -> object:
     """A value as a tensor, if its field holds nothing else or the value is a list."""
     if "Tensor" not in kind or ("float" in kind and not isinstance(value, list | tuple)):
@@ -214,7 +208,3 @@ def _read(name: str, value: object, kind: str) -> object:
         return torch.as_tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise ValueError(f"{name} must be numbers, got {short(value)}") from error
-
-
-def _number(bound: float) -> str:
-    return str(int(bound)) if bound == int(bound) else f"{bound:g}"

@@ -89,22 +89,17 @@ def main() -> None:
 
 
 def help_of(overrides: list[str]) -> str:
-    """What ``pmil train --help`` says: all settings, with their values on this command line.
-
-    Raises:
-        ValueError, ImportError, OSError: there is no such experiment, or a setting is out of range.
-    """
+    """What ``pmil train --help`` says: all settings, with their values on this command line."""
     with hydra.initialize_config_dir(str(CONFIG), version_base="1.3"):
         settings = settings_of(hydra.compose("train", overrides))
     values = settings.adjustable | task_of(settings).adjustable
-    return HELP.format(
-        "\n".join(help_lines({name: word_of(name, v) for name, v in values.items()}))
-    )
+    words = {name: word_of(name, value) for name, value in values.items()}
+    return HELP.format("\n".join(help_lines(words)))
 
 
 @contextmanager
 def hydra_errors() -> Iterator[None]:
-    """End the command with one line where Hydra would print pages; its own variable lets it."""
+    """End the command with one line where Hydra would print pages, unless its variable is set."""
     if FULL_ERROR in os.environ:
         yield
         return
@@ -150,8 +145,7 @@ def run(config: DictConfig) -> None:
         further = again(command, "resume=true")
         fail(f"{label}error: {in_words(error)}; go on with: {further}", label)
     except FinishedRunError as error:
-        anew = again(command, "overwrite=true")
-        fail(f"{label}error: {error}, as {anew}", label)
+        fail(f"{label}error: {error}, as {again(command, 'overwrite=true')}", label)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
         fail(f"{label}error: {in_words(error)}", label)
 
@@ -184,7 +178,7 @@ def again(command: list[str], setting: str) -> str:
 
 
 def name_of(config: DictConfig) -> str:
-    """What a run of a sweep is called: its folder, if that can be read."""
+    """Name of a run of a sweep: its folder, if that can be read."""
     try:
         return str(config.out)
     except OmegaConfBaseException:
@@ -192,10 +186,7 @@ def name_of(config: DictConfig) -> str:
 
 
 def show(label: str, task: Task, result: RunResult, out: Path) -> None:
-    """Report, print, draw and film a run that is saved.
-
-    Ends with an error only where the run is no longer there.
-    """
+    """Report, print, draw and film a saved run; it is an error only if it is no longer there."""
     failures = tell_all(label, task, result, out)
     if lost := lost_output():
         failures.append(f"standard output: {bounded_line(lost)}")
@@ -212,11 +203,7 @@ def task_of(settings: RunSettings) -> Task:
 
 
 def fail(message: str, label: str) -> NoReturn:
-    """End the run with a message.
-
-    The other runs of a sweep, whose label is not empty, go on, and Hydra ends the sweep with an
-    error when all are done.
-    """
+    """End the run with a message; the others of a sweep, which has labels, continue."""
     if not label:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)

@@ -27,10 +27,9 @@ MARGIN = 0.3  # around the executed motion, in its range
 
 
 def figures_of(task: Task, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
-    """All figures of a run with their names, one after the other.
+    """All figures of a run with their names, which end in ``_target_0``, ... for one of several.
 
     Those that show a prediction alone are left out if the model cannot predict.
-    Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
     """
     yield "learning_curve", _learning_curve(task, result)
     for number, outcome in enumerate(result.outcomes):
@@ -55,22 +54,15 @@ def is_predicted(outcome: Outcome) -> bool:
 
 def _learning_curve(task: Task, result: RunResult) -> plotting.Figure:
     objective, trials, summary = task.objective, result.trials, result.summary
-    label = f"predicted {objective.label}"
-    if objective.unit:
-        label = f"{label} ({objective.unit})"
+    saved_loss = sum(summary.get("loss_per_step", [nan]))  # NaN without a prediction
     return plotting.plot_learning_curve(
         [t.experience_s for t in trials],
         [rate_of(vars(t)) for t in trials],
         [t.loss for t in trials],
-        label,
-        (summary["experience_s"], summary["saved_success_rate"], _saved_loss(summary)),
+        with_unit(f"predicted {objective.label}", objective.unit),
+        (summary["experience_s"], summary["saved_success_rate"], saved_loss),
         of_one_rollout=judged_alone(summary),
     )
-
-
-def _saved_loss(summary: dict) -> float:
-    """Predicted loss of the saved policy under the newest model; NaN if that cannot predict it."""
-    return sum(summary["loss_per_step"]) if "loss_per_step" in summary else nan
 
 
 def _of_outcome(
@@ -135,15 +127,9 @@ def planes_of(space: StateSpace, actions: int, executed: Tensor) -> list[plottin
 
 
 def _policy(
-    task: Task,
-    result: RunResult,
-    outcome: Outcome,
-    planes: list[plotting.Plane],
+    task: Task, result: RunResult, outcome: Outcome, planes: list[plotting.Plane]
 ) -> plotting.Figure:
-    """The policy in planes of the state, at some times of the predicted motion.
-
-    Arrows show the flow of the model's mean.
-    """
+    """The policy in planes of the state at predicted times; arrows are the model's mean."""
     policy, space, dynamics = result.policy, task.space, result.dynamics
     if outcome.target is not None:
         network = policy.policy.for_target(outcome.target)
@@ -159,10 +145,7 @@ def _policy(
 
 
 def _calibration(task: Task, result: RunResult) -> plotting.Figure:
-    """Calibration of the model on rollouts of the saved policy, of all targets together.
-
-    The model has not learned from those of fresh starts.
-    """
+    """Calibration of the model on rollouts of the saved policy, of all targets together."""
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
     space, time_step = task.space, task.demonstrations.time_step
@@ -173,20 +156,19 @@ def _calibration(task: Task, result: RunResult) -> plotting.Figure:
 
 
 def _model(task: Task, result: RunResult) -> plotting.Figure:
-    """Slices through the model where the robot was halfway.
-
-    They go over the actions, and the features on which the model depends most.
-    """
+    """Slices through the model, over its most relevant inputs, where the robot was halfway."""
     space, dynamics, outcome = task.space, result.dynamics, result.outcomes[0]
     halfway = outcome.rollouts.shape[-1] // 2
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     learned = dynamics.known_part(space).learned
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
+    units = dict(zip(space.names, space.units, strict=True))
+    of_features = [with_unit(name, units.get(name)) for name in space.feature_names]
     return plotting.plot_gp_slices(
         dynamics,
         point,
-        _input_names(task),
+        [*of_features, *task.actions.labels],
         [space.names[entry] for entry in learned],
         [space.units[entry] for entry in learned],
         sliced(relevance, len(task.actions.names)),
@@ -194,9 +176,7 @@ def _model(task: Task, result: RunResult) -> plotting.Figure:
 
 
 def sliced(relevance: Tensor, actions: int) -> list[int]:
-    """The inputs that slices go over: the most relevant features, and the most relevant actions.
-
-    There is one feature at least.
+    """The inputs that slices go over: the most relevant actions and features, one feature at least.
 
     Args:
         relevance: of each input, the features before the actions, (D' + F,).
@@ -212,10 +192,3 @@ def sliced(relevance: Tensor, actions: int) -> list[int]:
         features + relevance[features:].topk(shown).indices,
     ]
     return torch.cat(chosen).sort().values.tolist()
-
-
-def _input_names(task: Task) -> list[str]:
-    """Features with their units, then actions."""
-    units = dict(zip(task.space.names, task.space.units, strict=True))
-    features = [with_unit(name, units.get(name)) for name in task.space.feature_names]
-    return [*features, *task.actions.labels]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -14,12 +14,7 @@ from torch import Tensor
 from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of
-from torch_pmil.plotting.video import (
-    dense_states,
-    render_rollout,
-    write_gif,
-    write_video,
-)
+from torch_pmil.plotting.video import dense_states, render_rollout, write_gif, write_video
 from torch_pmil.runs.figures import figures_of
 from torch_pmil.runs.printing import Step, print_left, print_result, tell
 from torch_pmil.runs.report import write_report
@@ -28,6 +23,7 @@ from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 
 FEWEST_FRAMES = 50  # in a second
+Draw = Callable[[Tensor, Tensor, int], Iterator[np.ndarray]]  # start, actions, frames in a period
 
 
 def tell_all(label: str, task: Task, result: RunResult, out: Path) -> list[str]:
@@ -44,10 +40,7 @@ def tell_all(label: str, task: Task, result: RunResult, out: Path) -> list[str]:
 
 
 def steps_of(task: Task, result: RunResult, out: Path) -> Iterator[Step]:
-    """Steps that draw figures and video (as a GIF too), and write the report with them.
-
-    A robot that makes no motion but its own rollouts is not filmed.
-    """
+    """Steps that draw figures, film a robot that is measured from fresh starts, and report."""
     yield "figures", partial(draw_figures, task, result, out / "figures")
     if task.draws and task.evaluated:
         yield "video", partial(film, task, result, out / "video.mp4")
@@ -63,64 +56,56 @@ def draw_figures(task: Task, result: RunResult, folder: Path) -> None:
         plotting.save_figure(figure, folder / f"{name}.png")
 
 
+@torch.no_grad()
 def film(task: Task, result: RunResult, path: Path) -> None:
-    """Film the saved policy. Raises RuntimeError where the robot gives no pictures."""
-    env = task.first_robot(seed=0)
-    if isinstance(env, MujocoRobotEnv):
-        film_outcome(env, task, result.outcomes[0], path)
-    else:
-        film_as_shown(task, result, path)
+    """Film the saved policy: an executed rollout, or a fresh one of a robot that shows itself.
+
+    Raises RuntimeError where the robot gives no pictures.
+    """
+    robot = task.first_robot(seed=0)
+    if isinstance(robot, MujocoRobotEnv):
+        film_outcome(robot, task, result.outcomes[0], path)
+        return
+    env = task.make_env(from_pixels=True, seed=0)
+    rollout = env.rollout(task.horizon, result.policy.as_tensordict_module())
+    write_video(path, pictures_of(rollout), 1 / task.demonstrations.time_step)
 
 
 def film_outcome(env: MujocoRobotEnv, task: Task, outcome: Outcome, path: Path) -> None:
-    """Film the first executed rollout, as the simulator draws it.
+    """Film the first executed rollout; see :func:`drawing_of`."""
+    start, actions, frames = outcome.executed[0, 0], outcome.rollouts["action"][0], _frames(env)
+    pictures = drawing_of(env, task, path)(start, actions, frames)
+    write_video(path, pictures, frames / env.control_period)
 
-    Without OpenGL it is drawn as lines. Raises RuntimeError if the robot has no sketch.
+
+def drawing_of(env: MujocoRobotEnv, task: Task, path: Path) -> Draw:
+    """How the rollouts of a film are drawn: by the simulator, or as lines without OpenGL.
+
+    Raises RuntimeError if there is neither OpenGL nor a sketch of the robot.
     """
-    start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
-    frames = frames_per_step(env)
-    fps = frames / env.control_period
     try:
-        write_video(path, render_rollout(env, start, actions, frames), fps)
+        env.render(env.initial_mean)
     except RuntimeError as error:
         if task.sketch is None:
             raise
         print(f"{path} is a sketch, because {error}")
-        write_video(path, sketched(env, task, start, actions, frames), fps)
+        return partial(_sketched, env, task.sketch)
+    return partial(render_rollout, env)
 
 
-def frames_per_step(env: MujocoRobotEnv) -> int:
-    """The fewest pictures in a control period that make 50 in a second, or as many as there are.
-
-    Each is of a time step of the simulation.
-    """
+def _frames(env: MujocoRobotEnv) -> int:
+    """The fewest pictures in a control period, one each few substeps, that make 50 in a second."""
     wanted = FEWEST_FRAMES * env.control_period - 1e-9
     numbers = range(1, env.substeps + 1)
     return next(n for n in numbers if env.substeps % n == 0 and (n >= wanted or n == env.substeps))
 
 
-def sketched(
+def _sketched(
     env: MujocoRobotEnv,
-    task: Task,
+    sketch: Callable[[Tensor], Tensor],
     start: Tensor,
     actions: Tensor,
-    frames: int = 5,
+    frames: int,
 ) -> Iterator[np.ndarray]:
-    """Pictures of a rollout drawn as lines, without OpenGL.
-
-    Args:
-        env, start, actions: as for :func:`~torch_pmil.plotting.video.render_rollout`.
-        task: one with a sketch.
-        frames: in a control period.
-    """
-    assert task.sketch is not None
-    joints = task.sketch(dense_states(env, start, actions, frames))
+    joints = sketch(dense_states(env, start, actions, frames))
     return plotting.pendulum_frames(joints, env.control_period / frames)
-
-
-@torch.no_grad()
-def film_as_shown(task: Task, result: RunResult, path: Path) -> None:
-    """Film the policy from a fresh start, as the environment shows itself, if it does."""
-    env = task.make_env(from_pixels=True, seed=0)
-    rollout = env.rollout(task.horizon, result.policy.as_tensordict_module())
-    write_video(path, pictures_of(rollout), 1 / task.demonstrations.time_step)

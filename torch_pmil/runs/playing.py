@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,8 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of, states_of
 from torch_pmil.files import read_json, short
-from torch_pmil.plotting.video import check_film_name, render_rollout, write_film
-from torch_pmil.runs.pictures import sketched
+from torch_pmil.plotting.video import check_film_name, write_film
+from torch_pmil.runs.pictures import drawing_of
 from torch_pmil.runs.settings import read_settings
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.runs.viewer import show
@@ -93,32 +92,24 @@ class Player:
             OSError: the file cannot be written.
         """
         check_film_name(path)
-        env, draw, fps = self._stage(seed, FRAMES_PER_STEP[path.suffix])
+        env, draw, fps = self._stage(seed, path)
         motions = list(itertools.islice(self.motions(env), starts))
         films = (_then_at_rest(draw(motion), round(REST * fps)) for motion in motions)
         write_film(path, itertools.chain.from_iterable(films), fps)
         return sum(map(self.succeeds, motions))
 
-    def _stage(
-        self, seed: int, frames_per_step: int
-    ) -> tuple[MujocoRobotEnv | AdaptedEnv, Draw, float]:
+    def _stage(self, seed: int, path: Path) -> tuple[MujocoRobotEnv | AdaptedEnv, Draw, float]:
         """A robot, how its rollouts are drawn, and the pictures per second."""
-        env = self.experiment.first_robot(seed)
+        env, frames = self.experiment.first_robot(seed), FRAMES_PER_STEP[path.suffix]
         if isinstance(env, MujocoRobotEnv):
-            return env, self._drawn_by(env, frames_per_step), frames_per_step / env.control_period
+            draw = drawing_of(env, self.experiment, path)
+            return (
+                env,
+                lambda motion: draw(states_of(motion)[0], motion["action"], frames),
+                frames / env.control_period,
+            )
         shown = self.experiment.make_env(from_pixels=True, seed=seed)
         return shown, pictures_of, 1 / shown.control_period
-
-    def _drawn_by(self, env: MujocoRobotEnv, frames_per_step: int) -> Draw:
-        """The simulator's pictures, or sketches where there is no OpenGL."""
-        draw = partial(render_rollout, env)
-        try:
-            env.render(env.initial_mean)
-        except RuntimeError:
-            if self.experiment.sketch is None:
-                raise
-            draw = partial(sketched, env, self.experiment)
-        return lambda motion: draw(states_of(motion)[0], motion["action"], frames_per_step)
 
 
 def load_player(folder: Path) -> Player:

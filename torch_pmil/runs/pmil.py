@@ -26,8 +26,8 @@ class PMIL:
 
     Args:
         env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
-            bounded continuous actions, or the name of one of gymnasium. A physical robot makes no
-            motion but those that it learns from, and these alone say what succeeds.
+            bounded continuous actions, or the name of one of gymnasium. A physical robot is not
+            measured from fresh starts: its own rollouts alone say what succeeds.
         demonstrations: a file or folder of recordings, or what was read of one.
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.tasks.own_robot.own_robot` takes: ``state``,
@@ -58,18 +58,18 @@ class PMIL:
         resume: bool = False,
         overwrite: bool = False,
     ) -> Self:
-        """Learn; print the trials and what they came to; leave a report with figures.
+        """Learn, print the trials and their results, and write a report with figures.
 
         Args:
             trials: largest number of trials.
             seed: of the robot's starts, its first motion and the policy; same seed, same run.
             out: folder of the run; runs/NAME/seed_SEED of the environment's name if None.
-            resume: whether to go on with the run that is there.
+            resume: whether to continue the run that is there.
             overwrite: whether to replace the finished run that is there.
 
         Raises:
-            RunStopped: the operator ended the run; ``learn(resume=True)`` goes on.
-            RobotError: the robot cannot be reached; ``learn(resume=True)`` goes on.
+            RunStopped, RobotError: the operator ended the run, or the robot cannot be reached;
+                ``learn(resume=True)`` continues.
             OSError: the folder cannot be written to.
             ValueError: a setting is out of range, or the folder holds another run.
         """
@@ -102,16 +102,16 @@ class PMIL:
 
     def save(self, path: Path | str) -> None:
         """Write the policy into a file that :func:`load_policy` reads."""
-        policy = self.policy
+        learned = self.policy
         save_policy(
-            path, policy.policy, policy.space, policy.control_period, actions=policy.actions
+            path, learned.policy, learned.space, learned.control_period, actions=learned.actions
         )
 
     def evaluate(self, starts: int = MEASURED_STARTS, seed: int = Stream.EVALUATED_STARTS) -> float:
         """Success rate of the policy on the robot, from fresh starts.
 
-        A physical robot makes so many rollouts, and its operator is asked before each of them; one
-        that is cut short is a failure.
+        The operator of a physical robot is asked before each rollout; one that is cut short is a
+        failure.
         """
         errors = self.task.errors(self.policy, starts, seed)
         return success_rate(errors, self.task.tolerance)

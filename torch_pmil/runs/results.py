@@ -25,6 +25,7 @@ from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
 
+@torch.no_grad()
 def results_of(
     trainer: PMILTrainer, best: Candidate, task: Task
 ) -> tuple[dict[str, Any], list[Outcome]]:
@@ -33,32 +34,23 @@ def results_of(
     outcomes = task.outcomes(predicted, *_executed(trainer, best))
     results = {
         **_measured(trainer, best, task, outcomes),
-        **(_unknown(failure) if failure else _compared(trainer, task, outcomes)),
+        **(failure or _compared(trainer, task, outcomes)),
     }
     results["diagnosis"] = _diagnosis(trainer, task, outcomes, results)
     results["trials"] = [_plain(trial) for trial in trainer.trials]
     return results, outcomes
 
 
-@torch.no_grad()
-def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, PredictionError | None]:
+def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, dict[str, object]]:
     """The saved policy's predicted states; NaN, and why, if the newest model cannot predict it."""
     try:
-        return trainer.loss_module.predict_states(task.initial), None
+        return trainer.loss_module.predict_states(task.initial), {}
     except PredictionError as error:
-        return Gaussian(*(moment * torch.nan for moment in _like(task))), error
+        leading, D = task.demonstrated.mean.shape[:-1], task.space.dim
+        unknown = torch.full((*leading, D, D), torch.nan, dtype=torch.float64)
+        return Gaussian(unknown[..., 0], unknown), {"prediction_error": str(error)}
 
 
-def _like(task: Task) -> tuple[Tensor, Tensor]:
-    """Moments of the shapes of predicted states, of all targets if there are several."""
-    leading, D = task.demonstrated.mean.shape[:-1], task.space.dim
-    return (
-        torch.zeros(*leading, D, dtype=torch.float64),
-        torch.zeros(*leading, D, D, dtype=torch.float64),
-    )
-
-
-@torch.no_grad()
 def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Tensor]:
     """Rollouts of the saved policy and their errors: from fresh starts, or else its own."""
     if trainer.evaluation_env is not None:
@@ -74,20 +66,13 @@ def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Te
 def _measured(
     trainer: PMILTrainer, best: Candidate, task: Task, outcomes: list[Outcome]
 ) -> dict[str, object]:
-    """The results of a run, with the saved policy measured anew from starts that no trial saw.
-
-    Without such starts its own rollout is judged. For several targets it is the mean.
-    """
+    """The results of the saved policy's rollouts, averaged over targets."""
     match_space, measured = task.space.match_space, trainer.evaluation_env is not None
     rates = {outcome.label: success_rate(outcome.errors, task.tolerance) for outcome in outcomes}
     compared = [outcome.compared for outcome in outcomes]
     spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in compared])
-    errors = torch.stack(
-        [
-            rms_error(outcome.demonstrations, task.space.observe(outcome.executed))
-            for outcome in compared
-        ]
-    )
+    observed = [(outcome.demonstrations, match_space(outcome.executed)) for outcome in compared]
+    errors = torch.stack([rms_error(*pair) for pair in observed])
     saturated = torch.stack(
         [saturated_fraction(outcome.rollouts["action"], task.actions) for outcome in outcomes]
     ).mean(0)
@@ -116,9 +101,9 @@ def _compared(trainer: PMILTrainer, task: Task, outcomes: list[Outcome]) -> dict
         [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in compared]
     ).mean(0)
     try:
-        per_step = _per_step(trainer, task)
+        per_step = trainer.loss_module.per_step(task.initial).tolist()
     except (PredictionError, NotPositiveDefiniteError) as error:
-        return _unknown(error)
+        return {"prediction_error": str(error)}
     return {
         "two_sigma_coverage": fmean(
             two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in compared
@@ -128,16 +113,8 @@ def _compared(trainer: PMILTrainer, task: Task, outcomes: list[Outcome]) -> dict
     }
 
 
-def _unknown(error: Exception) -> dict[str, object]:
-    """The entry in place of those of :func:`_compared`, where the model cannot predict."""
-    return {"prediction_error": str(error)}
-
-
 def _diagnosis(
-    trainer: PMILTrainer,
-    task: Task,
-    outcomes: list[Outcome],
-    results: Mapping[str, Any],
+    trainer: PMILTrainer, task: Task, outcomes: list[Outcome], results: Mapping[str, Any]
 ) -> list[dict[str, object]]:
     """Likely reasons why the run did not learn; an empty list if it did."""
     if "prediction_error" in results:
@@ -151,20 +128,13 @@ def _diagnosis(
     return [asdict(reason) for reason in (stopped, *reasons) if reason is not None]
 
 
-@torch.no_grad()
-def _per_step(trainer: PMILTrainer, task: Task) -> list[float]:
-    """Summands of the saved policy's predicted loss under the newest model, (T,)."""
-    return trainer.loss_module.per_step(task.initial).tolist()
-
-
 def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
 def _plain(trial: Trial) -> dict[str, object]:
     """A trial as JSON has it: a loss that is not finite is null."""
-    values = asdict(trial)
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in values.items()
+        for name, value in asdict(trial).items()
     }

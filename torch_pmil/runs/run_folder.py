@@ -69,20 +69,14 @@ def write_origin(out: Path, source: dict[str, object]) -> None:
 
 def write_settings(out: Path, settings: Mapping[str, object]) -> None:
     """Write ``settings.yaml``, with which ``pmil train settings=FILE`` makes the run again."""
-    lines = (
-        f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in settings.items()
-    )
+    given = settings.items()
+    lines = (f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in given)
     with replacing(out / "settings.yaml") as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
 
 
 def read_command(folder: Path) -> list[str]:
-    """The words of the command that began a run.
-
-    Raises:
-        RunError: ``run.json`` is damaged.
-        OSError: the folder has none.
-    """
+    """The words of the command that began a run; raises RunError if ``run.json`` is damaged."""
     try:
         return words_of(read_json(folder / "run.json")["command"])
     except (ValueError, KeyError, TypeError) as error:
@@ -90,15 +84,11 @@ def read_command(folder: Path) -> list[str]:
 
 
 def clear_folder(out: Path, overwrite: bool = False) -> None:
-    """Make room for a new run.
-
-    Args:
-        out: its folder.
-        overwrite: whether a run that has ended is removed.
+    """Remove the finished run in a folder, if ``overwrite`` is true.
 
     Raises:
         UnfinishedRunError: there is a run that has not ended.
-        FinishedRunError: there is one that has ended, and it is to stay.
+        FinishedRunError: there is one that has ended, and ``overwrite`` is false.
     """
     saved, ended = saved_checkpoints(rotation_in(out / "checkpoints")), is_finished(out)
     if saved and not ended:
@@ -118,8 +108,8 @@ def clear_folder(out: Path, overwrite: bool = False) -> None:
 def remove_debris(out: Path) -> None:
     """Remove what a run that was killed left of files that were not whole.
 
-    A checkpoint that was set aside for a newer one, which never came, takes its place again. Only
-    whoever is alone in the folder may do so.
+    A checkpoint that was set aside for a newer one, which never came, takes its place again. The
+    caller must be alone in the folder.
     """
     for name in (*FILES, ".writable", "figures/*.png"):
         remove_temporaries(out / name)
@@ -139,7 +129,7 @@ def remove_debris(out: Path) -> None:
 
 
 def check_logger(kind: str | None) -> None:
-    """Raise unless there is such a logger: ValueError, or ImportError if its library is missing."""
+    """Raise ValueError unless there is such a logger, ImportError if its library is missing."""
     if kind not in (None, *LOGGERS):
         raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {kind}")
     if kind not in (None, "csv") and find_spec(kind) is None:
@@ -147,7 +137,7 @@ def check_logger(kind: str | None) -> None:
 
 
 def check_resume(resume: bool, overwrite: bool) -> None:
-    """Raise ValueError if a run is to be gone on with and to be replaced."""
+    """Raise ValueError if a run is both to be continued and to be replaced."""
     if resume and overwrite:
         raise ValueError(
             "resume=true goes on with a run, and overwrite=true replaces it: give one of the two"
@@ -157,15 +147,14 @@ def check_resume(resume: bool, overwrite: bool) -> None:
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
     """TorchRL's logger of that kind for a run; raises ImportError where its library is missing.
 
-    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses
-    the folder that TorchRL suggests.
+    MLflow refuses the folder that TorchRL suggests; it gets the server of ``MLFLOW_TRACKING_URI``,
+    or a database in ``logs/``.
     """
     name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if kind == "mlflow":
-            database = f"sqlite:///{folder / 'mlflow.db'}"
-            server = os.environ.get("MLFLOW_TRACKING_URI", database)
+            server = os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}")
             return MLFlowLogger(name, tracking_uri=server)
         return get_logger(kind, str(folder), name)
     except ImportError as error:
@@ -175,11 +164,7 @@ def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
 def rewind_logs(logger: Logger | None, step: int) -> None:
     """Let the files of a CSV logger end with a step, after which a resumed run logs again.
 
-    Of another logger nothing is taken back.
-
-    Raises:
-        RunError: a file was not written by a logger.
-        OSError: it cannot be replaced.
+    Raises RunError if a file was not written by a logger.
     """
     if not isinstance(logger, CSVLogger):
         return
@@ -214,18 +199,10 @@ def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
 
 
 def provenance(command: str) -> dict[str, object]:
-    """Provenance of a result: command, date, commit and versions.
-
-    The commit is that of the source tree, "unknown" outside one.
-    """
+    """Command, date, versions, and commit of the source tree, "unknown" outside one."""
+    describe, here = ["git", "describe", "--always", "--dirty"], Path(__file__).parent
     try:
-        git = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        git = subprocess.run(describe, cwd=here, capture_output=True, text=True, check=False)
         commit = git.stdout.strip() or "unknown"
     except OSError:
         commit = "unknown"

@@ -46,10 +46,7 @@ class SettingsError(LineError):
 
 @dataclass(frozen=True)
 class RunSettings(Settings):
-    """The settings of ``pmil train``, of the right types and in their ranges.
-
-    Args:
-        changes: settings of the task and its method that differ from its own, by name.
+    """The settings of ``pmil train``; ``changes`` are those of the task and its method, by name.
 
     Raises:
         ValueError: a setting is of another type, or out of range.
@@ -97,35 +94,22 @@ class RunSettings(Settings):
 
     @property
     def repeated(self) -> dict[str, object]:
-        """The settings of the run without those that say where it is written to."""
-        return {
-            name: value
-            for name, value in self.adjustable.items()
-            if name not in ("out", "resume", "overwrite")
-        }
+        """The settings without those that say where the run is written."""
+        where = ("out", "resume", "overwrite")
+        return {name: value for name, value in self.adjustable.items() if name not in where}
 
 
 OF_RUN = RunSettings.declared()
 OF_TASK: dict[str, Setting] = {}  # of all tasks of the package
-for group in (
-    PolicySettings,
-    ModelSettings,
-    RandomMotion,
-    EndingSettings,
-    TargetTask,  # those of every task, too
-    PilcoTask,
-    PDMovements,
-    SearchSettings,
-):
+GROUPS: list[type[Settings]] = [PolicySettings, ModelSettings, RandomMotion, EndingSettings]
+GROUPS += [TargetTask, PilcoTask, PDMovements, SearchSettings]
+for group in GROUPS:
     OF_TASK |= group.declared()
 SETTINGS = OF_RUN | OF_TASK
 
 
 def help_lines(words: Mapping[str, str]) -> Iterator[str]:
-    """Settings of a run, each in words, and those that other tasks have.
-
-    Args:
-        words: NAME=VALUE of each setting, by its name.
+    """Settings of a run, NAME=VALUE by name, each in words, and those that other tasks have.
 
     Example:
         >>> for line in list(help_lines({"resume": "resume=true"}))[:2]:
@@ -161,12 +145,7 @@ def _indented(text: str) -> str:
 
 
 def settings_of(config: DictConfig) -> RunSettings:
-    """The settings of a configuration.
-
-    Raises:
-        ValueError: one is missing, refers to nothing, or is not as it must be.
-        ImportError: the library of the logger is missing.
-    """
+    """The settings of a configuration; raises ValueError if one is missing or refers to nothing."""
     missing = [name for name in OF_RUN if name not in list(config)]
     if missing:
         raise SettingsError(f"{missing[0]} must be set, got a configuration without it")
@@ -193,13 +172,10 @@ def _check_text(name: str, value: object, optional: bool) -> None:
 
 
 def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
-    """Raise SettingsError unless all NAME=VALUE of a command line change a setting that there is.
+    """Raise SettingsError unless all NAME=VALUE of a command line change a known setting.
 
-    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set.
-
-    Args:
-        overrides: NAME=VALUE each.
-        sweep: whether a value may be several, for a run each.
+    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set. In a
+    ``sweep`` a value may be several, for a run each.
 
     Example:
         >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)
@@ -259,9 +235,7 @@ def word_of(name: str, value: object) -> str:
 
 
 def with_file(words: Sequence[str]) -> list[str]:
-    """The words of a command line with the settings of a file in place of ``settings=FILE``.
-
-    Those that the command line gives too are left out.
+    """A command line with the settings of a file that it does not give in place of settings=FILE.
 
     Raises:
         SettingsError: a file is named twice, or does not hold settings.
@@ -270,28 +244,21 @@ def with_file(words: Sequence[str]) -> list[str]:
     files = [word for word in words if word.startswith(FILE)]
     if len(files) > 1:
         raise SettingsError(f"{FILE}FILE must be given once, got {' '.join(files)}")
-    given = {word.partition("=")[0] for word in words}
-    return [
-        expanded
-        for word in words
-        for expanded in (_words_of_file(word, given) if word in files else [word])
-    ]
-
-
-def _words_of_file(word: str, given: set[str]) -> list[str]:
-    path = Path(word.removeprefix(FILE)).expanduser()
-    content = read_settings(path)
-    return [word_of(name, value) for name, value in content.items() if name not in given]
+    if not files:
+        return list(words)
+    given, place = {word.partition("=")[0] for word in words}, words.index(files[0])
+    content = read_settings(Path(files[0].removeprefix(FILE)).expanduser())
+    further = [word_of(name, value) for name, value in content.items() if name not in given]
+    return [*words[:place], *further, *words[place + 1 :]]
 
 
 def read_settings(path: Path) -> dict[str, object]:
     """Settings by name, of a YAML file with NAME: VALUE in each line.
 
-    Nothing in it is executed, and it refers to nothing: neither to other entries of it nor to
-    files or variables.
+    Nothing in it is executed, and it cannot refer to other entries, files or variables.
 
     Raises:
-        SettingsError: it holds something else; the message says where, and what came.
+        SettingsError: it holds something else; the message says where.
         OSError: it cannot be read.
     """
     try:
@@ -327,7 +294,7 @@ def _check_entry(name: str, value: object) -> None:
     _check_name(name, f"{name}: {json.dumps(value)}")
     if name == "experiment" and is_own(str(value)):
         raise SettingsError(
-            f"experiment must be given on the command line if it is one's own, since its module is "
+            "experiment must be given on the command line if it is one's own, since its module is "
             f"executed: got {value}"
         )
 

@@ -29,24 +29,18 @@ EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}
 OmegaConf.register_new_resolver("run_name", run_name, replace=True)
 
 
-def register_settings() -> None:
-    """Let Hydra know all settings: those of a run by their defaults, those of a task as null."""
-    node = OmegaConf.create({})
-    for name in SETTINGS:
-        OmegaConf.update(node, name, getattr(RunSettings, name, None), force_add=True)
-    ConfigStore.instance().store("settings", node)
-
-
-register_settings()
+# all settings, for Hydra: those of a run by their defaults, those of a task as null
+schema = OmegaConf.create({})
+for setting in SETTINGS:
+    OmegaConf.update(schema, setting, getattr(RunSettings, setting, None), force_add=True)
+ConfigStore.instance().store("settings", schema)
 
 
 def register_launchers(folder: Path) -> None:
-    """Make each YAML file of a folder a choice of ``hydra/launcher``.
+    """Make each YAML file of a folder a choice of ``hydra/launcher``, before that of the package.
 
-    It takes the place of what the launcher's package has under that name.
-
-    In Hydra's search path such a file would be taken for values of the package's own schema, which
-    Hydra warns of. So it can be chosen, too, where the package is not installed, and
+    In Hydra's search path such a file would be taken for values of the package's own schema, with a
+    warning. Registered, it can be chosen even where the package is not installed, and
     :class:`SweepCheck` says what to install.
     """
     # read by Ray when it is imported: lines that differ in numbers alone are not the same
@@ -61,8 +55,7 @@ def register_launchers(folder: Path) -> None:
 class SweepCheck(Callback):
     """Ends a sweep with one line if its launcher is missing or two runs would share a folder.
 
-    A Hydra callback; it exits by itself, since Hydra turns an exception of a callback into a
-    warning.
+    It exits by itself: Hydra turns an exception of a callback into a warning.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:

@@ -57,8 +57,8 @@ class RunResult:
     Args:
         summary: what ``summary.json`` holds.
         trials: all of them.
-        outcomes: what the saved policy was predicted to do under the newest model, and did from
-            fresh starts, or in its own rollout if none were measured, target by target.
+        outcomes: what the saved policy was predicted to do by the newest model, and did from fresh
+            starts or, without these, in its own rollout; one for each target.
         policy: the saved policy.
         dynamics: the newest model.
     """
@@ -86,35 +86,28 @@ def train(
     """Learn a task, and write policy, model and numbers into the folder of the run.
 
     These are ``policy.pt``, ``dynamics.pt``, ``summary.json``, and after every trial
-    ``metrics.csv``.
-
-    ``run.json`` says how the run was begun, ``settings.yaml`` with which settings. A checkpoint is
-    written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on
+    ``metrics.csv``. ``run.json`` and ``settings.yaml`` say how the run was begun. A checkpoint is
+    written into ``checkpoints/`` after every rollout of the robot. A run that was killed continues
     from there with ``resume`` and ends with the very same policy and model; one that has ended
-    comes to the same end again, or goes on if ``trials`` was its limit and is larger now.
+    comes to the same end again, or continues if ``trials`` was its limit and is larger now. If the
+    operator discards the robot's last rollout, it is as if that had never happened.
 
     Args:
         task: what to learn.
         seed: of the robot's starts, the random actions and the policy; same seed, same run.
         trials: largest number of trials.
         out: folder of the run.
-        command: said in the summary, so that the run can be repeated.
+        command: written into the summary, so that the run can be repeated.
         progress_bar: whether to show progress.
         on_trial: called with each finished trial.
-        resume: whether to go on from the newest checkpoint in the folder; without one the run
-            begins anew.
-        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for
-            none.
-        overwrite: whether to replace a run that has ended; without it, and without ``resume``, such
-            a run stays as it is.
+        resume: whether to continue from the newest checkpoint in the folder, if there is one.
+        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``, or None.
+        overwrite: whether to replace a run that has ended.
         settings: of the command, by which ``settings.yaml`` names the task.
 
-    Where the operator discards the robot's last rollout, the run
-    continues as if the rollout had never happened.
-
     Raises:
-        RunStopped: the operator ended the run; it goes on with ``resume``.
-        RobotError: the robot cannot be reached; the run goes on with ``resume``.
+        RunStopped, RobotError: the operator ended the run, or the robot cannot be reached; the run
+            continues with ``resume``.
         RuntimeError: the robot hardly moved: every rollout was cut short at its start.
         OSError: the folder cannot be written to.
         TypeError: the task is of another kind, such as its name.
@@ -168,7 +161,7 @@ def train(
 
 
 def _ended(trainer: PMILTrainer) -> bool:
-    """Train, and say whether that came to its end: not if the last rollout was discarded."""
+    """Train to the end; return False if the last rollout was discarded."""
     try:
         trainer.train()
     except RolloutDiscarded:
@@ -181,15 +174,15 @@ def _ended(trainer: PMILTrainer) -> bool:
 
 
 def _finish(
-    trainer: PMILTrainer,
-    task: Task,
-    out: Path,
-    origin: dict[str, object],
-    trials: int,
+    trainer: PMILTrainer, task: Task, out: Path, origin: dict[str, object], trials: int
 ) -> RunResult:
     """Save the best policy and the model, measure the policy anew, and write ``summary.json``."""
     best = trainer.best_policy()
-    policy, dynamics = _save_learned(trainer, task, out)
+    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    meaning = task.space, trainer.control_period, task.demonstrations.target_names, task.actions
+    save_policy(out / "policy.pt", network, *meaning)
+    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    policy = StatePolicy(network, *meaning)
     results, outcomes = results_of(trainer, best, task)
     summary = {
         "experiment": task.name,
@@ -200,17 +193,6 @@ def _finish(
     }
     write_json(out / "summary.json", summary)
     return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
-
-
-def _save_learned(trainer: PMILTrainer, task: Task, out: Path) -> tuple[StatePolicy, GPDynamics]:
-    """Write ``policy.pt`` and ``dynamics.pt``, and return what they hold."""
-    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    space, period = task.space, trainer.control_period
-    target_names = task.demonstrations.target_names
-    actions = task.actions
-    save_policy(out / "policy.pt", network, space, period, target_names, actions)
-    save_tensors(out / "dynamics.pt", dynamics.state_dict())
-    return StatePolicy(network, space, period, target_names, actions), dynamics
 
 
 def _identity(task: Task, seed: int) -> dict[str, object]:
@@ -225,7 +207,7 @@ def _identity(task: Task, seed: int) -> dict[str, object]:
 
 
 def _same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> SavedRun | None:
-    """The checkpoint to go on from, if there is one, or ValueError if it is of another run."""
+    """The newest checkpoint, or None; raises ValueError if it is of another run."""
     saved = newest_undamaged(rotation)
     if saved is None:
         return None

@@ -28,12 +28,12 @@ class Admission:
     """What the robot may do with a policy.
 
     Args:
-        result: the search that found the policy, with the numbers of all searches.
+        result: outcome of the search that found it, with the work of all searches.
         leaving_probability: bound on the predicted probability that its rollout leaves the box;
             None without a box.
         refused: number of policies that were refused before it.
-        steps: number of first steps that the robot may do, up to which the accumulated probability
-            is below the threshold: all, if the policy is admitted.
+        steps: number of first steps that the robot may do: all of an admitted policy, otherwise
+            those up to which the accumulated probability is below the threshold.
     """
 
     result: SearchResult
@@ -58,16 +58,13 @@ def admit(
 ) -> Admission:
     """Predict whether the policy of ``loss`` leaves a box; search on with a penalty where it may.
 
-    The penalty of a refused policy is :meth:`StateBox.penalty` with the weights 1, 10 and 100, one
-    after the other, in the unit of the loss.
+    The penalty is :meth:`StateBox.penalty` with the weights 1, 10 and 100, one after the other, in
+    the unit of the loss.
 
     Args:
-        loss: objective with the policy (changed in place) and the model.
-        initial: p(x_0).
-        box: the limits of the motion; without, every policy is admitted.
-        settings: budget and horizon of the searches.
-        result: of the search that found the policy.
-        report, optimizer: as for :func:`search_policy`.
+        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
+        box: limits of the motion; None admits every policy.
+        result: outcome of the search that found the policy.
     """
     if box is None:
         return Admission(result, None, 0, loss.horizon)
@@ -81,16 +78,18 @@ def admit(
                 again = search_policy(loss, initial, settings, report, optimizer=optimizer)
         except NotFiniteError:  # so far outside that no search can begin
             break
-        result = _with_loss(loss, initial, again.with_work_of(result))
+        per_step = evaluate_steps(loss.per_step, initial, loss.horizon)  # without the penalty
+        again = replace(again, loss=per_step.sum().item(), per_step=per_step)
+        result = again.with_work_of(result)
         leaving = _leaving(loss, initial, box)
     steps = int((leaving.cumsum(-1) <= box.threshold).sum())
     return Admission(result, min(leaving.sum().item(), 1.0), refused, steps)
 
 
 def _leaving(loss: TrajectoryLoss, initial: Gaussian, box: StateBox) -> Tensor:
-    """Bound on the probability to be outside at each step, (T,); of several rollouts the largest.
+    """Bound on the probability to be outside at each step, (T,), or 1 without a prediction.
 
-    It is 1 where nothing can be predicted.
+    It is the largest of all targets.
     """
 
     def largest(initial: Gaussian, horizon: int) -> Tensor:
@@ -98,9 +97,3 @@ def _leaving(loss: TrajectoryLoss, initial: Gaussian, box: StateBox) -> Tensor:
         return leaving.reshape(-1, horizon).amax(0)
 
     return evaluate_steps(largest, initial, loss.horizon).clamp(max=1)
-
-
-def _with_loss(loss: TrajectoryLoss, initial: Gaussian, result: SearchResult) -> SearchResult:
-    """The result with the loss alone, without a penalty."""
-    per_step = evaluate_steps(loss.per_step, initial, loss.horizon)
-    return replace(result, loss=per_step.sum().item(), per_step=per_step)

@@ -25,8 +25,7 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
         + \delta^\top \Sigma_q^{-1} \delta - D + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right],
         \qquad \delta = \mu_p - \mu_q
 
-    Its gradients are Eqs. 23 and 24 (the latter with the inner term :math:`\Sigma_p`, as it must
-    be).
+    Its gradients are Eqs. 23 and 24, the inner term of the latter corrected to :math:`\Sigma_p`.
 
     Args:
         p, q: beliefs over D entries; batches broadcast. Both covariances positive definite.
@@ -35,9 +34,9 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
         Nats, (*batch). Not symmetric: p is the demonstrated, q the predicted marginal.
 
     Raises:
-        ValueError: the two have other entries, batches or dtypes, or a mean is not finite.
-        NotPositiveDefiniteError: names the batch element whose covariance has no Cholesky factor,
-            is not finite, or is not symmetric.
+        ValueError: entries, batches or dtypes of the two do not fit, or a mean is not finite.
+        NotPositiveDefiniteError: a covariance is not positive definite, finite and symmetric; the
+            message names the batch element.
 
     Example:
         >>> p = Gaussian(torch.zeros(2), torch.eye(2))
@@ -50,14 +49,14 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
 
 
 def gaussian_cross_entropy(q: Gaussian, p: Gaussian) -> Tensor:
-    r"""Cross-entropy of q relative to p: the expected surprise of p at what q gives.
+    r"""Cross-entropy of q relative to p: how surprising draws of q are under p.
 
     .. math::
         \mathbb E_q[-\log p] = \tfrac12 \left[ \operatorname{tr}(\Sigma_p^{-1}\Sigma_q)
         + \delta^\top \Sigma_p^{-1} \delta + \log |2\pi\Sigma_p| \right],
         \qquad \delta = \mu_p - \mu_q
 
-    It is least where q is a point at the mean of p, where KL(p‖q) is least if q is p.
+    It is least for a q that is a point at the mean of p, whereas KL(p‖q) is least for q = p.
 
     Args:
         q: predicted marginals over D entries.
@@ -80,23 +79,18 @@ def gaussian_cross_entropy(q: Gaussian, p: Gaussian) -> Tensor:
 
 def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
     """Cholesky factors L_p and L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
-    _check_pair(p, q)
-    L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
-    delta = (p.mean - q.mean)[..., None]
-    residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
-    return L_p, L_q, torch.linalg.solve_triangular(L_q, residuals, upper=False)
-
-
-def _check_pair(p: Gaussian, q: Gaussian) -> None:
     check_moments(p, "p")
     check_moments(q, "q", p.mean)
     batches = zip(p.batch_shape[::-1], q.batch_shape[::-1], strict=False)
-    fit = all(a == b or 1 in (a, b) for a, b in batches)
-    if p.dim != q.dim or not fit:
+    if p.dim != q.dim or not all(a == b or 1 in (a, b) for a, b in batches):
         raise ValueError(
             "p and q must have the same entries, and batches that broadcast, got means "
             f"{tuple(p.mean.shape)} and {tuple(q.mean.shape)}"
         )
+    L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
+    delta = (p.mean - q.mean)[..., None]
+    residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
+    return L_p, L_q, torch.linalg.solve_triangular(L_q, residuals, upper=False)
 
 
 class KLTerms(NamedTuple):
@@ -114,26 +108,16 @@ class KLTerms(NamedTuple):
 def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
     r"""Terms of KL(p‖q) by entry, whose sum is :func:`gaussian_kl` exactly (Eq. 19).
 
-    By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each
-    entry given those before it, :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j
-    \mid z_{<j}))`. With Cholesky factors L, :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M =
-    L_q^{-1} L_p` these are
+    By the chain rule a KL is the sum of the expected KLs of each entry given those before it. With
+    Cholesky factors L, :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M = L_q^{-1} L_p` these are
 
     .. math::
         \tfrac12 m_j^2 \quad\text{and}\quad
         \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
 
-    The sum of either kind over the entries does not depend on the order of the entries. Its parts
-    do: a difference that two dependent entries both show counts with the first of them.
-
-    Args:
-        p, q: as in :func:`gaussian_kl`.
-
-    Returns:
-        The two terms of each entry, (*batch, D).
-
-    Raises:
-        NotPositiveDefiniteError: as in :func:`gaussian_kl`.
+    The sum of either kind does not depend on the order of the entries. Its parts do: a difference
+    that two dependent entries both show counts with the first of them. Arguments and errors are
+    those of :func:`gaussian_kl`.
 
     Example:
         >>> p = Gaussian(torch.zeros(2), torch.eye(2))
@@ -148,7 +132,7 @@ def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
 
 
 def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
-    r"""KL of two trajectory distributions that factorise over time: a sum over steps (Eq. 20).
+    """KL of two trajectory distributions that factorise over time: a sum over steps (Eq. 20).
 
     Args:
         demonstrated, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
@@ -157,8 +141,7 @@ def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
         Nats, (*batch).
 
     Raises:
-        ValueError: the two differ in steps or entries, or as in :func:`gaussian_kl`.
-        NotPositiveDefiniteError: as in :func:`gaussian_kl`.
+        ValueError, NotPositiveDefiniteError: the two differ in steps, or as in :func:`gaussian_kl`.
 
     Example:
         >>> marginals = Gaussian(torch.zeros(25, 4), torch.eye(4).expand(25, 4, 4))
@@ -175,9 +158,7 @@ def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
 
 
 def mean_kl(demonstrated: Gaussian, mean: Tensor) -> Tensor:
-    r"""KL of each marginal to the predicted mean with the demonstrated covariance.
-
-    This is Eq. 19 with equal covariances.
+    r"""KL of each marginal to the predicted mean with the demonstrated covariance (Eq. 19).
 
     .. math:: \tfrac12 \delta^\top (\Sigma^{\mathrm{exp}})^{-1} \delta
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import torch
 from torch import Tensor
 
@@ -11,36 +13,25 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.kl import gaussian_cross_entropy, gaussian_kl, mean_kl
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
-from torch_pmil.search.trajectory_loss import (
-    MeanPrediction,
-    Prediction,
-    Reduction,
-    TrajectoryLoss,
-)
+from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
-    r"""KL between demonstrated and predicted trajectories (Eq. 20), in nats.
+    r"""KL between demonstrated and predicted trajectories (Eq. 20), ``"loss_kl"``, in nats.
 
     .. math:: J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))
 
-    Reads start beliefs or, in :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
-    ``"loss_kl"``. Keys and masks are those of :class:`TrajectoryLoss`.
-
     Args:
-        actor_network: the policy, whose parameters are learned.
-        dynamics: the forward model, constant here.
-        space: the robot's state space.
+        actor_network, dynamics, space: as in :class:`TrajectoryLoss`.
         demonstrated: demonstrated marginals at t = 1..T in the match space, with observation noise.
         noise_std: standard deviation of the observation noise added to the prediction too, in the
             units of the match space: one number, or one for each entry, (M,).
-        reduction, prediction, mean_prediction: as in :class:`TrajectoryLoss`.
+        options: ``reduction``, ``prediction`` and ``mean_prediction``, as there.
 
     Raises:
-        ValueError: the demonstrated marginals or the noise are not in the match space, or not
+        ValueError: the demonstrated marginals or the noise are not in the match space or not
             finite, there is no step, the noise is negative, or the reduction is unknown.
         NotPositiveDefiniteError: a demonstrated covariance is not positive definite.
 
@@ -68,11 +59,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         space: StateSpace,
         demonstrated: Gaussian,
         noise_std: float | Tensor,
-        reduction: Reduction = "mean",
-        prediction: Prediction = predict_trajectory,
-        mean_prediction: MeanPrediction = predict_mean_trajectory,
+        **options: Unpack[LossOptions],
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction, prediction, mean_prediction)
+        super().__init__(actor_network, dynamics, space, **options)
         names = space.match_space.names
         if demonstrated.dim != len(names):
             raise ValueError(
@@ -95,11 +84,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         return self.demonstrated_mean.shape[-2]
 
     def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Expected surprise of the demonstrated marginals at the predicted ones, (*batch, horizon).
+        """Cross-entropy of the prediction and the demonstrations at each step, (*batch, horizon).
 
-        See :func:`~torch_pmil.search.kl.gaussian_cross_entropy`. The KL is least where the
-        prediction is as wide as the demonstrations, this where it is narrow. Raises
-        PredictionError.
+        See :func:`~torch_pmil.search.kl.gaussian_cross_entropy`.
         """
         observed = self.predict(initial, horizon)
         return gaussian_cross_entropy(observed, self._demonstrated(observed.batch_shape[-1]))
@@ -130,30 +117,23 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
 
 class ExpectedSaturatingCost(TrajectoryLoss):
-    r"""PILCO's expected cost of not being at a target (Eq. 28), summed over the horizon.
-
-    It is between 0 and T, without unit.
+    r"""PILCO's expected cost of not being at a target (Eq. 28), summed over the horizon: 0 to T.
 
     .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\frac{d(z_t)^2}{2\sigma^2}\right)\right], \qquad
               d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
 
-    The observation z is in the match space, where its predicted moments are exact; the expectation
-    is over a Gaussian with these moments, in closed form, without observation noise. Eq. 28 itself
-    has :math:`\sigma` = 2 and W = I.
-
-    Reads start beliefs or, in :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
-    ``"loss_cost"``. Keys and masks are those of :class:`TrajectoryLoss`.
+    The expectation is in closed form, over a Gaussian with the exact predicted moments of z in the
+    match space, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I. The
+    entry is ``"loss_cost"``.
 
     Args:
-        actor_network: the policy, whose parameters are learned.
-        dynamics: the forward model, constant here.
-        space: the robot's state space.
+        actor_network, dynamics, space: as in :class:`TrajectoryLoss`.
         target: the target, (M,), in the match space.
         width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
         horizon: T, number of steps after the start.
         weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
             ignore an entry.
-        reduction, prediction, mean_prediction: as in :class:`TrajectoryLoss`.
+        options: ``reduction``, ``prediction`` and ``mean_prediction``, as there.
 
     Raises:
         ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or
@@ -184,11 +164,9 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         width: float,
         horizon: int,
         weight: Tensor | None = None,
-        reduction: Reduction = "mean",
-        prediction: Prediction = predict_trajectory,
-        mean_prediction: MeanPrediction = predict_mean_trajectory,
+        **options: Unpack[LossOptions],
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction, prediction, mean_prediction)
+        super().__init__(actor_network, dynamics, space, **options)
         M = space.match_space.dim
         if target.shape != (M,):
             raise ValueError(
@@ -212,8 +190,7 @@ class ExpectedSaturatingCost(TrajectoryLoss):
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each predicted marginal if its mean were the target, (*batch, horizon).
 
-        The cost itself would not measure trust: it is high far from the target, however sure the
-        prediction is. Raises PredictionError.
+        The cost itself is high far from the target, however sure the prediction is.
         """
         observed = self.predict(initial, horizon)
         return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))

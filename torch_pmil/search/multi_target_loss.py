@@ -2,6 +2,8 @@ r"""One policy for many targets: the mean of the targets' KL sums (Eq. 31)."""
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import torch
 from torch import Tensor
 
@@ -10,9 +12,8 @@ from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.trajectory_loss import MeanPrediction, Prediction, Reduction
+from torch_pmil.search.trajectory_loss import LossOptions
 
 
 class MultiTargetKLLoss(TrajectoryKLLoss):
@@ -22,15 +23,12 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S
         \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi | \eta_i))
 
-    The policy :math:`\pi(x, \eta)` has one set of parameters; its last K inputs are the target.
-    From each start belief its trajectories are predicted for all S targets, in one batch.
-    :meth:`rollout_loss` takes predicted beliefs, (\*batch, S, t, D). Keys, masks and the entry that
-    is written are those of :class:`TrajectoryKLLoss`.
+    The last K inputs of the policy :math:`\pi(x, \eta)` are the target. From each start belief its
+    trajectories are predicted for all S targets, in one batch; :meth:`rollout_loss` takes predicted
+    beliefs, (\*batch, S, t, D).
 
     Args:
-        actor_network: the policy, whose parameters are learned.
-        dynamics, space, noise_std: as in :class:`TrajectoryKLLoss`.
-        reduction, prediction, mean_prediction: as in :class:`TrajectoryKLLoss`.
+        actor_network, dynamics, space, noise_std, options: as in :class:`TrajectoryKLLoss`.
         demonstrated: demonstrated marginals of each target at t = 1..T, mean (S, T, M), with
             observation noise.
         targets: :math:`\eta_i`, (S, K).
@@ -59,20 +57,9 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         demonstrated: Gaussian,
         targets: Tensor,
         noise_std: float | Tensor,
-        reduction: Reduction = "mean",
-        prediction: Prediction = predict_trajectory,
-        mean_prediction: MeanPrediction = predict_mean_trajectory,
+        **options: Unpack[LossOptions],
     ) -> None:
-        super().__init__(
-            actor_network,
-            dynamics,
-            space,
-            demonstrated,
-            noise_std,
-            reduction,
-            prediction,
-            mean_prediction,
-        )
+        super().__init__(actor_network, dynamics, space, demonstrated, noise_std, **options)
         if targets.ndim != 2 or demonstrated.batch_shape[:-1] != targets.shape[:1]:
             raise ValueError(
                 "targets must have shape (S, K) and the demonstrated marginals batch shape (S, T), "
@@ -101,17 +88,11 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         return torch.cat([features, self.targets[:, None].expand(*features.shape[:-1], -1)], -1)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each predicted marginal up to a horizon, mean over the targets, (*batch, horizon).
-
-        Raises PredictionError.
-        """
+        """KL of each predicted marginal, averaged over the targets, (*batch, horizon)."""
         return super().per_step(initial, horizon).mean(-2)
 
     def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Cross-entropy of each step, averaged over the targets, (*batch, horizon).
-
-        Raises PredictionError.
-        """
+        """Cross-entropy of each step, averaged over the targets, (*batch, horizon)."""
         return super().cross_entropy_per_step(initial, horizon).mean(-2)
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
@@ -119,9 +100,5 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         return super().mean_per_step(initial, horizon).mean(-2)
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Largest KL of all targets by step, (*batch, horizon).
-
-        A search goes on where it may rely on the predictions for all targets. Raises
-        PredictionError.
-        """
+        """Largest KL of all targets by step, (*batch, horizon): all predictions must be trusted."""
         return super().per_step(initial, horizon).amax(-2)

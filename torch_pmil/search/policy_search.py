@@ -1,7 +1,4 @@
-"""Search for the policy of least predicted loss (Eqs. 1 and 22) over a growing horizon.
-
-The horizon grows as far as the prediction can be trusted.
-"""
+"""Search for the policy of least predicted loss (Eqs. 1 and 22) over a growing horizon."""
 
 from __future__ import annotations
 
@@ -16,13 +13,7 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.gp.lbfgs import (
-    MakeOptimizer,
-    MinimiseResult,
-    NotFiniteError,
-    minimise,
-    restore,
-)
+from torch_pmil.gp.lbfgs import MakeOptimizer, MinimiseResult, NotFiniteError, minimise, restore
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.reparameterisation import ReparameterisedLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -40,12 +31,9 @@ class SearchSettings(Settings):
 
     The iterations at one horizon are repeated while the last steps are not trusted and each run
     lowers the loss by a tenth. For the KL, ``trust_threshold`` is about 3 nats a step in four
-    dimensions. ``skip_matched_steps`` suits the KL, which is below the threshold wherever the
-    prediction matches. Under another loss a motion may be predicted well and still be wrong: then
-    the horizon grows by ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
-
-    Raises:
-        ValueError: a setting is of another type or out of range.
+    dimensions. ``skip_matched_steps`` suits the KL, which is small wherever the prediction matches.
+    Under another loss a motion may be predicted well and still be wrong: then the horizon grows by
+    ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
     """
 
     prefix: ClassVar[str] = "search."
@@ -81,21 +69,16 @@ class SearchSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Outcome of a policy search.
+    """Outcome of a policy search."""
 
-    ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands;
-    ``horizon`` is the last one that was searched, ``converged`` says whether its last steps are
-    trusted, and ``stop_reason`` why the last run of the optimiser ended.
-    """
-
-    loss: float
-    per_step: Tensor  # (T,)
-    horizon: int
-    converged: bool
+    loss: float  # of the whole horizon T
+    per_step: Tensor  # its summands, (T,)
+    horizon: int  # the last one that was searched
+    converged: bool  # whether its last steps are trusted
     evaluations: int
     failures: int
     seconds: float
-    stop_reason: str
+    stop_reason: str  # of the last run of the optimiser
 
     @property
     def complete(self) -> bool:
@@ -122,13 +105,12 @@ def search_policy(
 ) -> SearchResult:
     """Minimise a loss over its policy, at horizons up to which the prediction can be trusted.
 
-    The loss is, for example, Eq. 20 or 28. The far, unpredictable part of a trajectory would pull
-    the policy away from the near part that is right already. So the horizon starts where the
-    present policy stops matching, and grows; at each horizon the mean alone is searched first (a
-    policy that only widens the prediction is no optimum there), then the loss. The horizon stops
-    growing when the loss falls no more and the mean loss of its last steps still exceeds
-    ``settings.trust_threshold``. A policy whose every step is trusted already is searched on the
-    loss of the whole horizon alone.
+    The far, unpredictable part of a trajectory would pull the policy away from the near part that
+    is right already. So the horizon starts where the present policy stops matching, and grows. At
+    each horizon the mean alone is searched first, where a policy that only widens the prediction is
+    no optimum, then the loss. The horizon stops growing when the loss falls no more and the mean
+    loss of its last steps still exceeds ``settings.trust_threshold``. If every step is trusted
+    already, the loss of the whole horizon alone is searched.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
@@ -139,8 +121,7 @@ def search_policy(
         optimizer: see :func:`~torch_pmil.gp.lbfgs.minimise`.
 
     Raises:
-        TypeError: the settings are of another kind.
-        ValueError: there is more than one start belief.
+        TypeError, ValueError: the settings are of another kind, or there are several start beliefs.
         PredictionError: the prediction fails at the policy that was given.
     """
     if not isinstance(settings, SearchSettings):
@@ -148,15 +129,14 @@ def search_policy(
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = SearchRuns(loss, initial, settings, report, optimizer)
-    step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
-    from_first = random and not settings.skip_matched_steps
-    horizon = min(settings.first_horizon, loss.horizon)
-    if not from_first:
-        horizon = _first_untrusted(step_loss, settings)
-    growing = from_first or bool((step_loss > settings.trust_threshold).any())
+    step_loss = step_loss_of(loss, initial)
+    horizon = _first_untrusted(step_loss, settings)
+    growing = bool((step_loss > settings.trust_threshold).any())
+    if random and not settings.skip_matched_steps:
+        horizon, growing = min(settings.first_horizon, loss.horizon), True
     while growing:
         begun = search.stage(horizon)
-        step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
+        step_loss = step_loss_of(loss, initial)
         growing = begun and horizon < loss.horizon and _trusted(step_loss, horizon, settings)
         if growing:
             horizon = min(horizon + settings.horizon_step, loss.horizon)
@@ -168,11 +148,7 @@ def search_policy(
 
 
 class SearchRuns:
-    """The runs of the optimiser in one policy search.
-
-    Args:
-        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
-    """
+    """The runs of the optimiser in one policy search, by arguments of :func:`search_policy`."""
 
     def __init__(
         self,
@@ -182,9 +158,8 @@ class SearchRuns:
         report: Report,
         optimizer: MakeOptimizer,
     ) -> None:
-        self.loss, self.initial, self.settings, self.report = loss, initial, settings, report
-        self.optimizer = optimizer
-        self.parameters = list(loss.actor_network.parameters())
+        self.loss, self.initial, self.settings = loss, initial, settings
+        self.report, self.optimizer = report, optimizer
         self.runs: list[MinimiseResult] = []
         self.start = time.perf_counter()
 
@@ -205,12 +180,10 @@ class SearchRuns:
         self.report(f"{name} {horizon}/{self.loss.horizon}", result.loss)
 
     def stage(self, horizon: int) -> bool:
-        """Search the mean, then the loss, at one horizon; return whether both could begin.
-
-        Where one could not, the policy is restored.
-        """
-        before = [parameter.detach().clone() for parameter in self.parameters]
+        """Search the mean, then the loss; if one could not begin, restore the policy and say so."""
         loss, settings = self.loss, self.settings
+        parameters = list(loss.actor_network.parameters())
+        before = [parameter.detach().clone() for parameter in parameters]
         try:
             if settings.mean_iterations:
                 self.run("mean", loss.mean_per_step, horizon, settings.mean_iterations)
@@ -218,7 +191,7 @@ class SearchRuns:
             while self._worth_more(horizon):
                 self.run(loss.label, loss.per_step, horizon, settings.stage_iterations)
         except (PredictionError, NotFiniteError):
-            restore(self.parameters, before)
+            restore(parameters, before)
             return False
         return True
 
@@ -227,13 +200,13 @@ class SearchRuns:
         last = self.runs[-1]
         if last.stop_reason != "iteration limit" or last.loss >= WORTHWHILE * last.initial_loss:
             return False
-        step_loss = evaluate_steps(self.loss.step_loss_for_trust, self.initial, horizon)
+        step_loss = step_loss_of(self.loss, self.initial, horizon)
         return not _trusted(step_loss, horizon, self.settings)
 
     def result(self, horizon: int) -> SearchResult:
         """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
         per_step = evaluate_steps(self.loss.per_step, self.initial, self.loss.horizon)
-        step_loss = evaluate_steps(self.loss.step_loss_for_trust, self.initial, self.loss.horizon)
+        step_loss = step_loss_of(self.loss, self.initial)
         return SearchResult(
             loss=per_step.sum().item(),
             per_step=per_step,
@@ -254,20 +227,19 @@ def refit_policy(
     settings: SearchSettings,
     generator: torch.Generator,
 ) -> RBFPolicy:
-    """Refit the weights of a new policy to the policy of ``loss``, and return the new one.
+    """Refit the weights of a new policy to the actions of the old one, and return the new one.
 
-    It acts as the old one does where the prediction is trusted. Searches on early, poor models may
+    The actions are compared as far as the prediction is trusted. Searches on early, poor models may
     drive widths and centres to extremes from which no later search returns. A new network keeps
     what was learned, and can be searched well.
 
     Args:
         loss: objective with the old policy and the newest model.
-        initial: p(x_0).
+        initial, settings: as for :func:`search_policy`.
         new: a random policy of the same shape; changed in place.
-        settings: the settings that define up to which step the prediction is trusted.
-        generator: source of the states, drawn from the prediction, at which actions are compared.
+        generator: source of the states, drawn from the prediction.
     """
-    step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
+    step_loss = step_loss_of(loss, initial)
     trusted = min(_first_untrusted(step_loss, settings) - 1, int(step_loss.isfinite().sum()))
     states = loss.begin(initial)[0].sample(REFIT_SAMPLES, generator)[..., None, :]
     if trusted > 0:
@@ -282,7 +254,7 @@ def refit_policy(
 def evaluate_steps(
     of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
 ) -> Tensor:
-    """Loss of each step, (horizon,), infinite from the first step on whose prediction fails."""
+    """Loss of each step, (horizon,), infinite from the first one on whose prediction fails."""
     try:
         return of_steps(initial, horizon)
     except PredictionError as error:
@@ -292,6 +264,11 @@ def evaluate_steps(
         return torch.cat([known, known.new_full((horizon - len(known),), math.inf)])
 
 
+def step_loss_of(loss: TrajectoryLoss, initial: Gaussian, horizon: int | None = None) -> Tensor:
+    """Loss by which each step is trusted, as in :func:`evaluate_steps`, of all steps if None."""
+    return evaluate_steps(loss.step_loss_for_trust, initial, horizon or loss.horizon)
+
+
 def _first_untrusted(step_loss: Tensor, settings: SearchSettings) -> int:
     untrusted = (step_loss > settings.trust_threshold).nonzero()[:, 0]
     first = int(untrusted[0]) + 1 if len(untrusted) else len(step_loss)
@@ -299,7 +276,5 @@ def _first_untrusted(step_loss: Tensor, settings: SearchSettings) -> int:
 
 
 def _trusted(step_loss: Tensor, horizon: int, settings: SearchSettings) -> bool:
-    return (
-        step_loss[max(horizon - settings.horizon_step, 0) : horizon].mean().item()
-        <= settings.trust_threshold
-    )
+    last = step_loss[max(horizon - settings.horizon_step, 0) : horizon]
+    return last.mean().item() <= settings.trust_threshold

@@ -32,9 +32,7 @@ class PredictedSuccess:
 
     @property
     def least(self) -> float:
-        """Success rate that the samples show at least, with a confidence of 95 %.
-
-        It is the one-sided bound of Clopper and Pearson (1934).
+        """Lower bound of the rate with a confidence of 95 % (Clopper and Pearson 1934).
 
         Example:
             >>> round(PredictedSuccess(500).least, 3), PredictedSuccess(0).least
@@ -50,11 +48,9 @@ class PredictedSuccess:
 class Promise:
     """A success rate from fresh starts, and the error by which trajectories are judged.
 
-    A start is drawn from p(x_0), and each step from the model's posterior: what the model does not
-    know makes trajectories differ, and fail. Moment matching alone does not show how many fail,
-    since a Gaussian hides a few trajectories that go elsewhere.
-
-    A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
+    Starts are drawn from p(x_0), and steps from the model's posterior, so that what the model does
+    not know makes trajectories differ and fail. Moment matching would hide the few that go
+    elsewhere. A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
 
     Args:
         rate: the success rate, above 0 and below 1.
@@ -70,15 +66,14 @@ class Promise:
     tolerance: float
 
     def __post_init__(self) -> None:
-        check_rate("promise", self.rate)
+        number = isinstance(self.rate, int | float) and not isinstance(self.rate, bool)
+        if not number or not 0 < self.rate < 1:
+            raise ValueError(f"promise must be a number above 0 and below 1, got {self.rate!r}")
         check_positive("tolerance", self.tolerance, zero=True)
 
     @property
     def aim(self) -> float:
-        """Rate that the model must predict at least: with half the failures that are promised.
-
-        The other half is for what the model does not know.
-        """
+        """Rate that the model must predict: half the failures are for what it does not know."""
         return (1 + self.rate) / 2
 
     @torch.no_grad()
@@ -90,16 +85,3 @@ class Promise:
             start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, generator
         )
         return PredictedSuccess(int((self.error(states) <= self.tolerance).sum()))
-
-
-def check_rate(name: str, rate: object) -> None:
-    """Raise ValueError unless a rate can be promised: above 0, and below 1.
-
-    Example:
-        >>> check_rate("promise", 1)
-        Traceback (most recent call last):
-        ValueError: promise must be a number above 0 and below 1, got 1
-    """
-    number = isinstance(rate, int | float) and not isinstance(rate, bool)
-    if not number or not 0 < rate < 1:  # type: ignore[operator]
-        raise ValueError(f"{name} must be a number above 0 and below 1, got {rate!r}")

@@ -21,20 +21,19 @@ class ReparameterisedLoss(nn.Module):
     .. math:: w = (K + \sigma^2 I)^{-1} y, \qquad K_{ij} = \phi_j(\mu_i)
 
     The values y are about the outputs of the network at its centres :math:`\mu`, as in PILCO, whose
-    policy is a Gaussian process with y as targets; here K stays what it is at the start of the
-    search. Since a hundred basis functions overlap, a step along the gradient in the weights
-    changes the network everywhere at once, and a step along the gradient in the values changes it
-    where it should change: L-BFGS needs a fraction of the iterations.
+    policy is a Gaussian process with y as targets. K stays as it is at the start of the search.
+    Basis functions overlap, so a gradient step in the weights changes the network everywhere. One
+    in the values changes it where it should change, and L-BFGS needs a fraction of the iterations.
 
     Args:
-        loss: the loss to search; :meth:`write` sets the weights of its policy, L-BFGS its centres
-            and widths.
+        loss: the loss to search. L-BFGS changes centres and widths of its policy, :meth:`write` the
+            weights.
 
     Example:
         >>> from torch_pmil.tasks.registry import load_experiment
-        >>> experiment = load_experiment("double_pendulum")
-        >>> policy = experiment.make_policy(torch.Generator().manual_seed(0))
-        >>> ReparameterisedLoss(experiment.make_loss(policy, None)).values.shape
+        >>> task = load_experiment("double_pendulum")
+        >>> policy = task.make_policy(torch.Generator().manual_seed(0))
+        >>> ReparameterisedLoss(task.make_loss(policy, None)).values.shape
         torch.Size([2, 100, 1])
     """
 
@@ -52,16 +51,13 @@ class ReparameterisedLoss(nn.Module):
     def forward(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Tensor:
-        """Sum over the steps up to a horizon, of one of the loss's methods."""
+        """Sum of one of the loss's methods over the steps up to a horizon."""
         return per_step(initial, horizon).sum()
 
     def total(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Tensor:
-        """Sum over the steps as in :meth:`forward`, with the weights that the values give.
-
-        Its graph leads to the variables.
-        """
+        """:meth:`forward` with the weights that the values give: a function of the variables."""
         arguments = per_step, initial, horizon
         return functional_call(self, {WEIGHTS: self._weights()}, arguments, tie_weights=False)
 

@@ -31,27 +31,23 @@ def saturating_cost(residual: Tensor) -> Tensor:
 
 
 def expected_saturating_cost(residual: Gaussian) -> Tensor:
-    r"""Expectation of :func:`saturating_cost` over a Gaussian residual (Eq. 28).
-
-    The residual is :math:`r \sim \mathcal N(m, S)`.
+    r"""Expectation of :func:`saturating_cost` over a residual of N(m, S) (Eq. 28).
 
     .. math:: 1 - |I + S|^{-1/2} \exp\left(-\tfrac12 m^\top (I + S)^{-1} m\right)
 
-    No jitter is needed: the eigenvalues of I + S are at least 1, whether or not S is singular. At S
-    = 0 this is the cost of the mean, and with growing S it goes to 1. A singular S must not exceed
-    about 1e15, where rounding swallows the I.
+    No jitter is needed: the eigenvalues of I + S are at least 1. A singular S must not exceed about
+    1e15, where rounding swallows the I.
 
     Args:
-        residual: belief over the distances from the target in widths, mean (*batch, K). A belief
-            over x gives it by ``x.affine``.
+        residual: belief over the distances from the target in widths, mean (*batch, K).
 
     Returns:
         Expected costs, (*batch), between 0 and 1, without unit.
 
     Raises:
         ValueError: the mean is not finite, or a dtype is not a float.
-        NotPositiveDefiniteError: names the batch element whose S is not finite, not symmetric, or
-            has an eigenvalue that is clearly negative beside those of I.
+        NotPositiveDefiniteError: an S is not finite, not symmetric, or clearly not positive
+            semi-definite; the message names the batch element.
 
     Source: Deisenroth and Rasmussen (2011), Eqs. 24 and 25.
 

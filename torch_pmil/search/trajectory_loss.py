@@ -1,7 +1,4 @@
-"""Base class of the search's losses: a TorchRL loss that predicts a trajectory (Eq. 21).
-
-It sums the costs of the trajectory's steps.
-"""
+"""Base class of the search's losses: a TorchRL loss that predicts a trajectory (Eq. 21)."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -25,42 +22,49 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
+from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 
 Reduction = Literal["none", "mean", "sum"]
 Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
-Penalty = Callable[[Gaussian], Tensor]
 MeanPrediction = Callable[[Tensor, Policy, GPDynamics, StateSpace, int], Tensor]
+Penalty = Callable[[Gaussian], Tensor]
+
+
+class LossOptions(TypedDict, total=False):
+    """Arguments that every :class:`TrajectoryLoss` takes by name."""
+
+    reduction: Reduction
+    prediction: Prediction
+    mean_prediction: MeanPrediction
 
 
 class TrajectoryLoss(LossModule):
     r"""Base class of losses that sum a cost over the steps of a predicted trajectory.
 
-    When called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``,
-    (\*batch, D), and ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss`
-    (``trainer.compute_loss(batch, "rollout_loss")``) reads beliefs that are predicted already, as a
-    rollout through an imagined environment leaves them. Both write ``out_keys``.
+    When called, it reads the start beliefs p(x_0) at ``("observation", "mean")``, (\*batch, D), and
+    ``("observation", "var")``, (\*batch, D, D), and predicts. :meth:`rollout_loss` reads beliefs
+    that are predicted already, as a rollout through an imagined environment leaves them. Both write
+    ``out_keys``.
 
     ``set_keys(mean=..., var=...)`` sets other keys. ``loss_mask_key`` is TorchRL's: the entry,
-    (\*batch) or (\*batch, T), that is False where a belief or a step does not count; by default
-    ``("collector", "mask")`` and ``"shifted_valid"`` are looked for. What does not count may hold
-    anything. Beliefs of another dtype are computed in that of the policy.
+    (\*batch) or (\*batch, T), that is False where a belief or a step does not count and may hold
+    anything; by default ``("collector", "mask")`` or ``"shifted_valid"``. Beliefs of another dtype
+    are computed in that of the policy.
 
-    The policy is trained, the model is constant: ``parameters()`` gives those of the policy alone,
-    while ``state_dict()`` holds all.
+    The model is constant: ``parameters()`` gives those of the policy alone, while ``state_dict()``
+    holds all. Every method that predicts raises PredictionError where that fails.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model.
         space: the robot's state space.
-        reduction: "mean", over trajectories, of the sum over their steps; "sum" over both; "none"
-            gives all steps, (\*batch, T), with 0 where they do not count.
-        prediction: how p(x_1..T) is predicted: exact moment matching, or
-            :class:`ParticlePrediction`.
-        mean_prediction: how the trajectory of the model's mean alone is predicted.
+        reduction: "mean" over trajectories of the sum over their steps, "sum" over both, or "none":
+            all steps, (\*batch, T), with 0 where they do not count.
+        prediction: of p(x_1..T): exact moment matching, or :class:`ParticlePrediction`.
+        mean_prediction: of the trajectory of the model's mean alone.
 
     Raises:
-        ValueError: the reduction is another one.
+        ValueError: there is no such reduction.
     """
 
     _penalty: Penalty | None = None
@@ -82,8 +86,8 @@ class TrajectoryLoss(LossModule):
         actor_network: RBFPolicy,
         dynamics: GPDynamics,
         space: StateSpace,
-        reduction: Reduction,
-        prediction: Prediction,
+        reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
         mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
         super().__init__()
@@ -128,17 +132,11 @@ class TrajectoryLoss(LossModule):
         return None
 
     def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
-        """Predicted observations at t = 1..horizon, mean (*batch, horizon, M).
-
-        Raises PredictionError.
-        """
+        """Predicted observations at t = 1..horizon, mean (*batch, horizon, M)."""
         return self._observe(self.predict_states(initial, horizon))
 
     def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
-        """Predicted states at t = 1..horizon, mean (*batch, horizon, D).
-
-        Raises PredictionError.
-        """
+        """Predicted states at t = 1..horizon, mean (*batch, horizon, D)."""
         start, policy = self.begin(initial)
         return self.prediction(start, policy, self.dynamics, self.space, self._steps(horizon))
 
@@ -151,10 +149,7 @@ class TrajectoryLoss(LossModule):
         return self.space.features(states)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Cost of each predicted marginal up to a horizon, (*batch, horizon).
-
-        Raises PredictionError.
-        """
+        """Cost of each predicted marginal up to a horizon, (*batch, horizon)."""
         states = self.predict_states(initial, horizon)
         comparison = self._served(states.mean)
         costs = None if comparison is None else kernels().costs_of_beliefs(states, comparison)
@@ -167,29 +162,21 @@ class TrajectoryLoss(LossModule):
 
         It is cheap, and has no local optimum of wide predictions.
         """
-        start, policy = self.begin(initial)
-        states = self.mean_prediction(
-            start.mean, policy, self.dynamics, self.space, self._steps(horizon)
-        )
+        (start, policy), steps = self.begin(initial), self._steps(horizon)
+        states = self.mean_prediction(start.mean, policy, self.dynamics, self.space, steps)
         comparison = self._served(states)
         costs = None if comparison is None else kernels().costs_of_states(states, comparison)
         return self._mean_costs(self.space.observe(states)) if costs is None else costs
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Loss of each predicted marginal by which a search trusts it, (*batch, horizon).
-
-        The higher this is, the less the search trusts the marginal. By default it is the cost.
-        Raises PredictionError.
-        """
+        """Loss by which a search trusts each predicted marginal, the cost; (*batch, horizon)."""
         return self.per_step(initial, horizon)
 
     @contextmanager
     def penalised(self, penalty: Penalty) -> Iterator[None]:
         """Within, :meth:`per_step` adds a penalty to the cost of each step.
 
-        Args:
-            penalty: maps the predicted states, mean (*batch, T, D), to numbers (*batch, T) in the
-                unit of the loss.
+        It maps the predicted states, mean (*batch, T, D), to (*batch, T) in the unit of the loss.
         """
         self._penalty = penalty
         try:
@@ -201,10 +188,7 @@ class TrajectoryLoss(LossModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Loss of the trajectories that are predicted from the start beliefs (*batch, D).
 
-        Raises:
-            KeyError: a belief is missing.
-            ValueError: a belief is not over the state.
-            PredictionError: names the step at which the prediction fails.
+        Raises KeyError if a belief is missing, ValueError if it is not over the state.
         """
         initial = self._belief(tensordict, self.in_keys)
         counted = self._counted(tensordict, (*initial.batch_shape, self.horizon))
@@ -214,12 +198,8 @@ class TrajectoryLoss(LossModule):
     def rollout_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T.
 
-        Gradients flow into the beliefs.
-
-        Raises:
-            KeyError: a belief is missing.
-            ValueError: a belief is not over the state, or not a trajectory, or too long.
-            PredictionError: names the step at which the belief is degenerate.
+        Gradients flow into the beliefs. Errors are those of a call; PredictionError names the step
+        whose belief is degenerate.
         """
         states = self._belief(tensordict, self.rollout_keys)
         if not states.batch_shape or states.batch_shape[-1] > self.horizon:
@@ -242,10 +222,7 @@ class TrajectoryLoss(LossModule):
         )
 
     def reset_parameters_recursive(self) -> None:
-        """Not implemented: an RBF policy begins at the demonstrations.
-
-        It could not draw its parameters by itself.
-        """
+        """Not implemented: an RBF policy begins at the demonstrations."""
         raise NotImplementedError(
             "the policy cannot reset itself: load a new one with "
             "actor_network.load_state_dict(new.state_dict())"
@@ -315,8 +292,6 @@ class TrajectoryLoss(LossModule):
 
 def _where(counted: Tensor, belief: Gaussian) -> Gaussian:
     """The beliefs that count, and standard ones for the others, lest these raise an error."""
-    standard = torch.eye(belief.dim).to(belief.cov)
-    return Gaussian(
-        torch.where(counted[..., None], belief.mean, 0.0),
-        torch.where(counted[..., None, None], belief.cov, standard),
-    )
+    standard, counted = torch.eye(belief.dim).to(belief.cov), counted[..., None]
+    mean = torch.where(counted, belief.mean, 0.0)
+    return Gaussian(mean, torch.where(counted[..., None], belief.cov, standard))

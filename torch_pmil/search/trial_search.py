@@ -38,26 +38,22 @@ class TrialSearch:
     A trial searches from the policy that the last one left. If that neither matches the whole
     horizon nor brings the loss well below the smallest so far, it searches from the refitted policy
     too (:func:`refit_policy`), and then from ``settings.restarts`` random policies. The best is
-    kept. After a rollout that failed, a match of the whole horizon is not enough: an optimum far
-    above others may match too.
+    kept. After a rollout that failed, a match of the whole horizon is not enough: it may be that of
+    a poor optimum.
 
     A policy that matches the whole horizon, but is predicted to fail from too many starts, is
-    searched on (:func:`search_for_success`). Random policies are tried only after a rollout that
-    succeeded: before, a predicted failure may be what the model does not know yet.
+    searched on (:func:`search_for_success`), from random policies only after a rollout that
+    succeeded: before, the failures may be what the model does not know yet.
 
     Args:
-        settings: budget and horizon of each search.
+        settings, report, optimizer: as for :func:`search_policy`.
         make_policy: returns a new random policy of the same shape.
         generator: source of the random states of :func:`refit_policy`.
         promise: what the policy must keep; None if no success is predicted.
-        report, optimizer: as for :func:`search_policy`.
-
-    Attributes:
-        result: outcome of the last trial's searches.
-        refitted: whether the last trial searched from a refitted policy too.
     """
 
-    result: SearchResult
+    result: SearchResult  # of the last trial
+    refitted = False  # whether it searched from a refitted policy too
 
     def __init__(
         self,
@@ -70,39 +66,29 @@ class TrialSearch:
     ) -> None:
         self.settings, self.make_policy, self.generator = settings, make_policy, generator
         self.promise, self.report, self.optimizer = promise, report, optimizer
-        self.refitted = False
         self._least, self._left = math.inf, SUCCESS_SEARCHES
 
     def run(self, loss: TrajectoryLoss, initial: Gaussian, succeeded: bool | None) -> SearchResult:
-        """Search the policy of one trial.
+        """Search the policy of one trial, as :func:`search_policy`.
 
-        Args:
-            loss: objective with the policy (changed in place) and the newest model.
-            initial: p(x_0).
-            succeeded: whether the last rollout was a success; None before the first.
+        ``succeeded`` says whether the last rollout was a success; None before the first.
         """
-        search = partial(search_policy, loss, initial, self.settings, self.report)
-        search = partial(search, optimizer=self.optimizer)
+        settings, report, optimizer = self.settings, self.report, self.optimizer
+        search = partial(search_policy, loss, initial, settings, report, optimizer=optimizer)
         self.result = search(random=self._least == math.inf)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
             new = self.make_policy()
-            start = refit_policy(loss, initial, new, self.settings, self.generator)
-            self._keep_better(loss, start, search)
-        for _ in range(self.settings.restarts):
+            refitted = refit_policy(loss, initial, new, settings, self.generator)
+            self._keep_better(loss, refitted, search)
+        for _ in range(settings.restarts):
             if not self._enough(succeeded):
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
         if self.promise is not None and self.result.complete:
+            others: Iterable[RBFPolicy] = self._random_policies() if succeeded else ()
             self.result = search_for_success(
-                loss,
-                initial,
-                self.promise,
-                self.settings,
-                self.result,
-                self._random_policies() if succeeded else (),
-                self.report,
-                self.optimizer,
+                loss, initial, self.promise, settings, self.result, others, report, optimizer
             )
         return self.result
 
@@ -125,7 +111,7 @@ class TrialSearch:
             self.result = self.result.with_work_of(second)
 
     def _random_policies(self) -> Iterator[RBFPolicy]:
-        """New policies, as many as this run may still begin searches for success with."""
+        """New policies, for as many searches for success as the run has left."""
         while self._left:
             self._left -= 1
             yield self.make_policy()
@@ -141,7 +127,7 @@ class TrialSearch:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A policy that a search left, and what is predicted of it."""
+    """A policy that a search found, and its predicted success."""
 
     result: SearchResult
     predicted: PredictedSuccess
@@ -169,13 +155,10 @@ def search_for_success(
     with the highest predicted rate is kept, of several alike the one of least loss.
 
     Args:
-        loss: objective with the policy (changed in place) and the model.
-        initial: p(x_0).
+        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
         promise: what the policy must keep.
-        settings: budget and horizon of the searches.
-        result: of the search that found the policy, which matches the whole horizon.
+        result: outcome of the search that found the policy, which matches the whole horizon.
         policies: random policies of the same shape; no more are taken than are needed.
-        report, optimizer: as for :func:`search_policy`.
 
     Returns:
         The outcome of the search whose policy was kept, with the work of all searches.
@@ -190,7 +173,7 @@ def search_for_success(
         return predicted.least < promise.aim
 
     def steady() -> bool:
-        """Steady the last policy; return whether a better one is needed."""
+        """Steady the last policy; return whether a better one is still needed."""
         if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
             return True
         for _ in range(STEADYINGS):
@@ -224,21 +207,11 @@ def steady_policy(
 
     .. math:: \sum_t \mathbb E_{p(x_t^\pi)}[-\log p(x_t^{\exp})]
 
-    The policy of least KL to the demonstrations varies as much as they do: where their own spread
-    is beyond what counts as a success, it fails as often as they would. This search narrows the
-    prediction towards what is most likely under the demonstrations. It takes
-    ``settings.final_iterations`` from the policy that a search of the KL left.
-
-    Args:
-        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
-
-    Returns:
-        The outcome, whose ``loss`` is the KL, as that of every search.
-
-    Raises:
-        PredictionError: the prediction fails at the policy that was given.
+    The policy of least KL to the demonstrations varies as much as they do, and fails as often as
+    they would. This search of ``settings.final_iterations`` narrows the prediction towards what is
+    most likely under the demonstrations. The ``loss`` of its outcome is the KL all the same.
+    Arguments and errors are those of :func:`search_policy`.
     """
-    runs = SearchRuns(loss, initial, settings, report, optimizer)
-    iterations = settings.final_iterations
-    runs.run("cross-entropy", loss.cross_entropy_per_step, loss.horizon, iterations)
-    return runs.result(loss.horizon)
+    runs, horizon = SearchRuns(loss, initial, settings, report, optimizer), loss.horizon
+    runs.run("cross-entropy", loss.cross_entropy_per_step, horizon, settings.final_iterations)
+    return runs.result(horizon)

@@ -1,1 +1,1 @@
-"""The tasks that can be learned, one file each, and what an experiment is."""
+"""The tasks that can be learned, one file each, and what a task is."""

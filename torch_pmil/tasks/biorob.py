@@ -27,9 +27,7 @@ SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trust_threshold
 
 
 def biorob_space() -> StateSpace:
-    """State [q, dq] of yaw, shoulder and elbow, matched as it is.
-
-    The joints do not turn round, so that none of them is an angle.
+    """State [q, dq] of yaw, shoulder and elbow, matched as it is; no joint turns round.
 
     Example:
         >>> biorob_space().names
@@ -41,24 +39,19 @@ def biorob_space() -> StateSpace:
 
 
 def distance_from_ball(rollout: TensorDictBase) -> Tensor:
-    """Least distance (m) of racket and ball, 0 where the ball was hit; (*batch, T) to (*batch).
-
-    It is the distance of their surfaces over a rollout.
-    """
+    """Least distance (m) of racket and ball in rollouts (*batch, T), 0 for a hit; (*batch)."""
     info = rollout["next", "info"]
     hit, distance = info["hit"][..., 0].any(-1), info["racket_ball_distance"][..., 0].amin(-1)
     return torch.where(hit, torch.zeros_like(distance), distance)
 
 
 def holding_torques_at(states: Tensor) -> Tensor:
-    """Motor torques (*batch, 3), N·m, that hold the joints where they are in states (*batch, 6)."""
+    """Motor torques (*batch, 3), N·m, that hold the joints in states (*batch, 6)."""
     return holding_torques(states[..., : len(JOINTS)])
 
 
 def demonstrated_reach(positions: Tensor, start: Tensor) -> Tensor:
-    """Whole degrees (3,) that demonstrated positions (..., 3), rad, go from the start.
-
-    A slow motion, or a joint that stays where it is, is explored by small movements.
+    """Whole degrees (3,) that demonstrated positions (..., 3), rad, go from the start, or more.
 
     Example:
         >>> demonstrated_reach(torch.tensor([[0.0, 0.5, -0.2]]), torch.zeros(3))
@@ -69,14 +62,9 @@ def demonstrated_reach(positions: Tensor, start: Tensor) -> Tensor:
 
 
 def movements_around(start: Tensor, reach: Tensor, u_max: Tensor) -> PDMovements:
-    """Simple movements around the start, 6 s in all, gravity compensated (Section 5.2.4).
+    """Movements around the start, 3 times 2 s at 10 Hz, a new target every 0.5 s (Section 5.2.4).
 
-    They are 3 times 2 s at 10 Hz, with a new target every 0.5 s.
-
-    Args:
-        start: state (6,).
-        reach: of the joints (3,), degrees.
-        u_max: torque limits (3,), N·m.
+    The start is a state (6,), the reach in degrees (3,), and ``u_max`` the torque limits (3,), N·m.
     """
     still = torch.zeros(len(JOINTS), dtype=torch.float64)
     reach = torch.cat([reach.deg2rad(), still])
@@ -98,11 +86,8 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
     rollouts in a row have hit.
 
     Args:
-        demonstrations: of positions and velocities of the three joints at 10 Hz, under the names of
-            :func:`biorob_space`; those that come with the package if None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: entries of :func:`biorob_space` at 10 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
     env = BioRobEnv()
     parts = simulated_parts("biorob", env, biorob_space(), demonstrations)
@@ -112,7 +97,6 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
         **parts,
         make_env=BioRobEnv,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        demonstrated_states=positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         predicted_error=distance_along,

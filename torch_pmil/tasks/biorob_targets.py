@@ -35,10 +35,7 @@ def robots_before_balls(
     from_pixels: bool = False,
     seed: int | None = None,
 ) -> BioRobEnv:
-    """BioRobs that see where in the plane their balls hang.
-
-    Targets are (num_envs, 2), or (2,) for one robot.
-    """
+    """BioRobs that see where in the plane their balls hang, (num_envs, 2), or (2,) for one."""
     return BioRobEnv(
         ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed
     )
@@ -50,19 +47,16 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
     It has 250 basis functions, 2774 policy parameters, and 1.8 s at 10 Hz with the shipped
     demonstrations.
 
-    Exploration takes 6 s in all, 2 s of each of the three robots that learn. With two
-    demonstrations of a target their covariance has rank one: the observation noise, that of the
-    experiment with one target, is what the spread is measured against elsewhere.
+    Exploration takes 6 s in all, 2 s of each of the three robots that learn. The covariance of two
+    demonstrations of a target has rank one; elsewhere only the observation noise counts.
 
     Args:
-        demonstrations: of positions and velocities of the three joints at 10 Hz, under the names of
-            :func:`biorob_space`, with targets y and z; those that come with the package if None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: entries of :func:`biorob_space` at 10 Hz, with targets y and z; None for the
+            package's own. Others raise :class:`DemonstrationError`.
     """
     env = BioRobEnv()
-    parts = simulated_parts("biorob_targets", env, biorob_space(), demonstrations, TARGET_NAMES)
+    space, targets = biorob_space(), TARGET_NAMES
+    parts = simulated_parts("biorob_targets", env, space, demonstrations, target_names=targets)
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)
     movements = movements_around(env.initial_mean, reach, parts["actions"].half_range)
@@ -70,7 +64,6 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
         **parts,
         make_env=robots_before_balls,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        demonstrated_states=parts["demonstrations"].positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         holding_actions=holding_torques_at,

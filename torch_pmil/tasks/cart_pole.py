@@ -34,10 +34,7 @@ def cart_pole_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3).
-
-    The angle is an arctangent, velocities are central differences.
-    """
+    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
     x, x_tip, z_tip = positions.unbind(-1)
     q = unwrapped(torch.atan2(x_tip - x, z_tip))
     dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
@@ -45,16 +42,13 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 
 
 def distance_from_goal(states: Tensor, goal: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from two places over the last 0.5 s.
+    """Largest distance (m) of the tip from two places over the last 0.5 s, (*batch).
 
-    They are the goal, where the tip is to stand, and upright over the cart, wherever that is.
+    They are the goal, and upright over the cart, wherever that is.
 
     Args:
         states: x_0..x_T, (*batch, T + 1, 4).
         goal: [x, z] of the tip, m, of the last samples or of all, (6, 2) or (2,).
-
-    Returns:
-        (*batch).
 
     Example:
         >>> upright = torch.zeros(31, 4, dtype=torch.float64)
@@ -75,20 +69,16 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
     the last 0.5 s.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 10 Hz; None for those that come
-            with the package.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: positions x_cart, x_tip, z_tip at 10 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts("cart_pole", CartPoleEnv(), cart_pole_space(), demonstrations)
-    shown = parts["demonstrations"]
-    goal = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    env, space = CartPoleEnv(), cart_pole_space()
+    parts = simulated_parts("cart_pole", env, space, demonstrations, states_from_positions)
+    goal = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
     return Task(
         **parts,
         make_env=CartPoleEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(lambda states: distance_from_goal(states, goal)),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS),

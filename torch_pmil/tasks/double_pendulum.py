@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -29,8 +31,13 @@ def double_pendulum_space() -> StateSpace:
         >>> double_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
     """
+    return two_link_space((LINK_LENGTH, LINK_LENGTH))
+
+
+def two_link_space(lengths: Sequence[float]) -> StateSpace:
+    """State [q1, dq1, q2, dq2], matched in the ends of links of these lengths (m)."""
     names = ("q1", "dq1", "q2", "dq2")
-    match_space = MatchSpace.of_links(("q1", "q2"), (LINK_LENGTH, LINK_LENGTH), names)
+    match_space = MatchSpace.of_links(("q1", "q2"), lengths, names)
     return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
 
 
@@ -51,20 +58,12 @@ def joints_at(states: Tensor) -> Tensor:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show link positions (..., T, 4).
-
-    Angles are arctangents, velocities central differences.
-    """
+    """States (..., T, 4) of link positions (..., T, 4), velocities by central differences."""
     x1, y1, x2, y2 = positions.unbind(-1)
     q1 = unwrapped(torch.atan2(x1, y1))
     q2 = unwrapped(torch.atan2(x2 - x1, y2 - y1)) - q1
     dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
     return torch.stack([q1, dq1, q2, dq2], -1)
-
-
-def demonstrated_states(shown: Demonstrations) -> Tensor:
-    """States (S, 4) of two links that show the demonstrated link positions."""
-    return states_from_positions(shown.positions, shown.time_step).flatten(0, 1)
 
 
 def unwrapped(angles: Tensor) -> Tensor:
@@ -81,9 +80,9 @@ def unwrapped(angles: Tensor) -> Tensor:
 
 
 def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s.
+    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s, (*batch).
 
-    States are (*batch, T + 1, 4), distances (*batch).
+    States x_0..x_T are (*batch, T + 1, 4).
     """
     upright = torch.tensor(UPRIGHT, dtype=states.dtype)
     positions = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
@@ -91,14 +90,11 @@ def distance_from_upright(states: Tensor) -> Tensor:
 
 
 def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from its target over the last 0.5 s.
+    """Largest distance (m) of the tip from its target over the last 0.5 s, (*batch).
 
     Args:
         states: x_0..x_T, (*batch, T + 1, 4).
         targets: [x, y] of the tip, m, (*batch, 2); batches broadcast.
-
-    Returns:
-        (*batch).
 
     Example:
         >>> upright = torch.zeros(26, 4, dtype=torch.float64)
@@ -113,20 +109,15 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; None for those that come
-            with the package.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: link positions x1, y1, x2, y2 at 10 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts(
-        "double_pendulum", DoublePendulumEnv(), double_pendulum_space(), demonstrations
-    )
+    env, space = DoublePendulumEnv(), double_pendulum_space()
+    parts = simulated_parts("double_pendulum", env, space, demonstrations, states_from_positions)
     return Task(
         **parts,
         make_env=DoublePendulumEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS),

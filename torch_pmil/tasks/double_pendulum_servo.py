@@ -19,15 +19,9 @@ WEIGHT_STD = 0.01
 def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.1 with a position servo in each joint, at 10 Hz.
 
-    All but the robot, its actions and the first policy is that of :func:`double_pendulum`. That
-    policy holds the robot where it is, at the start and along what was demonstrated, and the first
-    motion is around what holds the start.
-
-    Args:
-        demonstrations: as for :func:`double_pendulum`.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+    The first policy holds the robot where it is, at the start and along what was demonstrated, and
+    the first motion is around what holds the start. All else, arguments and errors too, is as in
+    :func:`double_pendulum`.
     """
     task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
     states = task.demonstrated_states.unflatten(0, task.demonstrations.positions.shape[:2])

@@ -11,10 +11,10 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.tasks.double_pendulum import (
     NOISE_STD,
     REACH_DISTANCE,
-    demonstrated_states,
     distance_from_target,
     double_pendulum_space,
     joints_at,
+    states_from_positions,
 )
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method
@@ -32,24 +32,16 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
     It has 100 basis functions, 1016 policy parameters, and 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the
-            tip; those that come with the package if None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the tip;
+            None for the package's own. Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts(
-        "double_pendulum_targets",
-        DoublePendulumEnv(),
-        double_pendulum_space(),
-        demonstrations,
-        ("x", "y"),
-    )
+    env, space = DoublePendulumEnv(), double_pendulum_space()
+    states, targets = states_from_positions, ("x", "y")
+    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, states, targets)
     return TargetTask(
         **parts,
         make_env=DoublePendulumEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
         method=Method(ending=EndingSettings(confirmations=2)),

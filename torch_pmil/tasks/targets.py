@@ -1,4 +1,4 @@
-"""An experiment with several targets: one policy that sees which (Section 5.2.5, Eq. 31)."""
+"""A task with several targets: one policy that sees which (Section 5.2.5, Eq. 31)."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ from torch_pmil.tasks.task import Task
 class TargetTask(Task):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
-    It differs from :class:`Task` as follows. The demonstrations have targets (N, K), and the states
-    recovered from them are in the order of the demonstrations. ``make_env`` takes ``targets``
-    (num_envs, K), or (K,) for one robot, which the environment returns under ``"target"``. The
-    robot that learns does every trial once for each target.
+    The demonstrations have targets (N, K), and ``demonstrated_states`` are in their order.
+    ``make_env`` takes ``targets`` (num_envs, K), or (K,) for one robot, which the environment
+    returns under ``"target"``. The robot that learns does every trial once for each target.
 
     Basis functions that are wide beside the distances of the targets make a policy that is nearly
     linear in the target, which carries over to targets between and beyond; narrow ones fit each
@@ -71,18 +70,10 @@ class TargetTask(Task):
 
     @property
     def demonstrated(self) -> Gaussian:
-        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M).
-
-        Observation noise is included.
-        """
-        demonstrated = [
-            expert_distribution(demonstrations, self.noise_std)
-            for demonstrations in self._by_target[1]
-        ]
-        return Gaussian(
-            torch.stack([marginals.mean for marginals in demonstrated]),
-            torch.stack([marginals.cov for marginals in demonstrated]),
-        )
+        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M), noise included."""
+        each = [expert_distribution(shown, self.noise_std) for shown in self._by_target[1]]
+        mean = torch.stack([marginals.mean for marginals in each])
+        return Gaussian(mean, torch.stack([marginals.cov for marginals in each]))
 
     @property
     def settings(self) -> dict[str, object]:
@@ -100,10 +91,7 @@ class TargetTask(Task):
         return self.robots(1, seed)
 
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv:
-        """Robots to measure a policy on, ``starts`` for each target.
-
-        All robots of the first target come first, then all of the next.
-        """
+        """Robots to measure a policy on, ``starts`` for the first target, then for the next."""
         return self.robots_at(self.targets.repeat_interleave(starts, 0), seed)
 
     def robots_at(self, targets: Tensor, seed: int) -> MujocoRobotEnv:
@@ -117,29 +105,16 @@ class TargetTask(Task):
     def outcomes(
         self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
     ) -> list[Outcome]:
-        """The outcome of each target: its parts of the prediction (S, T), rollouts and errors.
-
-        The rollouts are those of :meth:`robots` or of :meth:`robot`.
-        """
+        """As in :class:`Task`, of a prediction (S, T)."""
         demonstrated, (targets, sets) = self.demonstrated, self._by_target
         parts, measured = rollouts.chunk(len(targets)), errors.chunk(len(targets))
-        return [
-            Outcome(
-                self._label(targets[i]),
-                sets[i],
-                demonstrated[i],
-                predicted[i],
-                parts[i],
-                measured[i],
-                targets[i],
-            )
-            for i in range(len(targets))
-        ]
-
-    def _label(self, target: Tensor) -> str:
-        """The entries of a target (K,) with their names."""
-        entries = zip(self.demonstrations.target_names, target.tolist(), strict=True)
-        return ", ".join(f"{name} = {value:g}" for name, value in entries)
+        outcomes = []
+        for i, target in enumerate(targets):
+            entries = zip(self.demonstrations.target_names, target.tolist(), strict=True)
+            label = ", ".join(f"{name} = {value:g}" for name, value in entries)
+            marginals = demonstrated[i], predicted[i]
+            outcomes.append(Outcome(label, sets[i], *marginals, parts[i], measured[i], target))
+        return outcomes
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> MultiTargetKLLoss:
         """The loss of the policy search: the mean over the targets of the KL (Eq. 31)."""

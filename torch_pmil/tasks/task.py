@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -68,21 +68,20 @@ class Task(Settings):
             end a run.
         evaluated: whether policies are measured from fresh starts, which are no experience, beside
             their own rollouts; False for a robot that a person resets.
-        holding_actions: actions (S, F) that hold the robot in states (S, D). A new policy holds it
-            at the start. None if they are unknown.
-        held_states: states (S, D) beside the starts in which a new policy holds the robot. A servo
-            whose target is far from the joint pulls with all its force, whatever the target: a
-            search that begins there has no slope to follow.
+        holding_actions: actions (S, F) that hold the robot in states (S, D), by which a new policy
+            holds it at the start. None if they are unknown.
+        held_states: further states (S, D) in which a new policy holds the robot. A servo whose
+            target is far away pulls with all its force, whatever the target: a search that begins
+            there has no slope to follow.
         box: lowest and highest value of entries of the state or of the match space in which the
             robot must stay while it learns, by name; see :class:`StateBox`. None for no limits.
         leaving_threshold: largest predicted probability of leaving them at which a policy runs.
         history: past readings and actions that are entries of the state, see
-            :func:`~torch_pmil.tasks.with_history.with_history`; None for no past.
-        sketch: draws the robot as a chain of lines: joint positions (*batch, P, 2), m, in a plane,
-            from the base to the tip, at states (*batch, D). The report then shows poses. None for
-            no sketch.
+            :func:`~torch_pmil.tasks.with_history.with_history`.
+        sketch: joint positions (*batch, P, 2), m, in a plane, from the base to the tip, at states
+            (*batch, D). The report then shows poses.
         plane: directions (2, M) of the match space, to the right and up, in which the robot writes;
-            the report then shows the strokes. None for a robot that does not write.
+            the report then shows the strokes.
         draws: whether the environment gives pictures, for the video.
 
     ``objective`` is the class of the loss that :meth:`make_loss` returns.
@@ -175,8 +174,7 @@ class Task(Settings):
         """Largest absolute values of the state (D,) in the data of the model.
 
         They are three times the demonstrated ones, and hold the robot's starts at least; angles
-        have no limit. A training widens them if they leave its model fewer transitions of the
-        exploration than it has inputs (:func:`~torch_pmil.model.experience.widened`).
+        have no limit. See :func:`~torch_pmil.model.experience.widened` for when they are wider.
         """
         start = self.initial.mean.abs() + START_REACH * self.initial.std
         limits = torch.maximum(3 * self.demonstrated_states.abs().amax(0), start)
@@ -196,16 +194,11 @@ class Task(Settings):
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on, as its summary and its checkpoints hold them."""
-        given = self.adjustable
-        groups: dict[str, Any] = {
+        return {
+            **{name: value for name, value in self.adjustable.items() if "." not in name},
             "horizon": self.horizon,
             "exploration": self.exploration.settings,
             "search": asdict(self.method.search),
-        }
-        flat = {name: value for name, value in given.items() if "." not in name}
-        return {
-            **flat,
-            **groups,
             "least_widths": self._least_widths.tolist(),
             "optimizer": getattr(self.method.optimizer, "__name__", str(self.method.optimizer)),
             "holds_start": self.holding_actions is not None,
@@ -248,8 +241,7 @@ class Task(Settings):
     def errors(self, policy: StatePolicy, starts: int, seed: int) -> Tensor:
         """Errors (starts,) of a policy's rollouts from fresh starts, infinite if cut short.
 
-        If policies are not measured beside their own rollouts, the one robot does all of them in
-        turn.
+        If not ``evaluated``, the one robot does all of them in turn.
         """
         module = policy.as_tensordict_module()
         if self.evaluated:
@@ -265,10 +257,7 @@ class Task(Settings):
     def outcomes(
         self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
     ) -> list[Outcome]:
-        """The outcome for each target: its parts of the prediction, the rollouts and their errors.
-
-        The rollouts are those of :meth:`robots`, or of :meth:`robot` in a batch.
-        """
+        """The outcome for each target, of batched rollouts of :meth:`robots` or :meth:`robot`."""
         return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:
@@ -296,14 +285,12 @@ class Task(Settings):
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near some of the inputs (S, D') and small random weights.
 
-        It holds the robot at the start if the task knows the actions for it.
+        With ``holding_actions`` it holds the robot at the start.
         """
         settings, actions = self.method.policy, self.actions
-        std = self._spread(inputs)
-        chosen = torch.randint(len(inputs), (settings.num_centres,), generator=generator)
-        jitter = torch.randn(
-            settings.num_centres, len(std), dtype=torch.float64, generator=generator
-        )
+        std, count = self._spread(inputs), settings.num_centres
+        chosen = torch.randint(len(inputs), (count,), generator=generator)
+        jitter = torch.randn(count, len(std), dtype=torch.float64, generator=generator)
         centres = inputs[chosen] + 0.1 * std * jitter
         policy = RBFPolicy(centres, actions.half_range, self.widths(std), actions.middle)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
@@ -324,8 +311,8 @@ class Task(Settings):
     def _spread(self, inputs: Tensor) -> Tensor:
         """Standard deviations (D',) of inputs (S, D') that scale centres and widths.
 
-        An input that hardly changes, such as that of a link that stays where it is, gets the one
-        that makes its width the smallest allowed: without it a policy acts at a single point.
+        They are large enough that no width is below the smallest allowed: a policy would act at a
+        single point along an input that hardly changes.
         """
         std = inputs.std(0)
         least = self._least_widths / self.method.policy.input_scale

@@ -1,4 +1,4 @@
-"""An task whose state holds past readings and past actions."""
+"""A task whose state holds past readings and past actions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.control.recovered_states import rates_of
-from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.gp.gaussian import Gaussian
@@ -30,7 +31,7 @@ def with_history(
 ) -> Task:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
-    The model learns the measured entries alone; the rest of the state follows from them. Policy and
+    The model learns the measured entries, from which the rest of the state follows. Policy and
     model see the whole state.
 
     Args:
@@ -38,9 +39,8 @@ def with_history(
             What is hidden, such as a spring, shows in them, and the noise of sensors averages out.
             Past angles are plain numbers, in which a full turn is a difference.
         past_actions: number of past actions: those that still act if there is a delay.
-        positions_only: whether the sensors show no velocities. Those of the state are then
-            estimated from the last two positions, which need ``past_actions=1`` beside them to be
-            as informative.
+        positions_only: whether the sensors show no velocities. They are then estimated from the
+            last two positions, which need ``past_actions=1`` to be as informative.
 
     Raises:
         ValueError: the task has a history already, no entry of its state is a velocity of a
@@ -75,10 +75,7 @@ def with_history(
 
 @dataclass(frozen=True, eq=False)
 class Resting:
-    """Actions (*batch, F) of a robot that has rested in states (*batch, D_0).
-
-    They hold it there if the task knows which do, and else are the middle of the range.
-    """
+    """Actions (*batch, F) that hold a robot in states (*batch, D_0), or the middle of the range."""
 
     task: Task
 
@@ -107,8 +104,13 @@ class OfShown:
 
 
 def _remembering(task: Task, history: History, resting: Resting) -> Task:
-    shown, error = len(history.names), task.error
+    shown, error, start = len(history.names), task.error, task.initial
     method, held = task.method, task.held_states
+    of_reading, _ = history.resting
+
+    def begin(states: Tensor) -> Tensor:
+        return history.begin(states, resting(states))
+
     least = torch.tensor(task.settings["least_widths"], dtype=torch.float64)
     policy = replace(method.policy, least_widths=_with_past(least, task, history))
     if policy.input_widths is not None:
@@ -120,7 +122,7 @@ def _remembering(task: Task, history: History, resting: Resting) -> Task:
         "history": history,
         "make_env": partial(HistoryEnv, task.make_env, history, resting),
         "space": _space(task, history),
-        "initial": _initial(task.initial, history, resting),
+        "initial": Gaussian(begin(start.mean), of_reading @ start.cov @ of_reading.mT),
         "demonstrated_states": _demonstrated(task, history, resting),
         "method": replace(method, policy=policy, exploration=exploration),
         "error": OfShown(error, shown),
@@ -131,30 +133,23 @@ def _remembering(task: Task, history: History, resting: Resting) -> Task:
         if (function := getattr(task, name)) is not None:
             changes[name] = OfShown(function, shown)
     if held is not None:
-        changes["held_states"] = history.begin(held, resting(held))
+        changes["held_states"] = begin(held)
     return replace(task, **changes)
 
 
 def _space(task: Task, history: History) -> StateSpace:
-    space, more = task.space, history.dim - len(history.names)
+    space, more = task.space, (0, history.dim - len(history.names))
     units = dict(zip(space.names, space.units, strict=True))
     units |= dict(zip(history.labels, task.actions.units, strict=True))
-    all_units = tuple(units[name] for name in history.origins)
-    match, zeros = space.match_space, torch.zeros
+    match = space.match_space
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
-    matched = MatchSpace(
-        match.names,
-        match.units,
-        torch.cat([match.angles, zeros(len(match.angles), more).to(match.angles)], -1),
-        torch.cat([of_states, zeros(match.dim, more).to(of_states), of_angles], -1),
+    weights = torch.cat([pad(of_states, more), of_angles], -1)
+    return StateSpace(
+        history.state_names,
+        tuple(units[name] for name in history.origins),
+        space.angles,
+        replace(match, angles=pad(match.angles, more), weights=weights),
     )
-    return StateSpace(history.state_names, all_units, space.angles, matched)
-
-
-def _initial(initial: Gaussian, history: History, resting: Resting) -> Gaussian:
-    of_reading, _ = history.resting
-    mean = history.begin(initial.mean, resting(initial.mean))
-    return Gaussian(mean, of_reading @ initial.cov @ of_reading.mT)
 
 
 def _demonstrated(task: Task, history: History, resting: Resting) -> Tensor:
@@ -168,9 +163,9 @@ def _demonstrated(task: Task, history: History, resting: Resting) -> Tensor:
 
 
 def _with_past(widths: Tensor, task: Task, history: History) -> Tensor:
-    """Widths (D'_0,) of the features, and of those of the past.
+    """Widths (D'_0,) of the features with those of the past.
 
-    They are half the range of past actions, and of past angles those of their sines.
+    That of a past action is half its range, that of a past angle that of its sine.
     """
     space = task.space
     known = dict(zip(space.feature_names, widths.tolist(), strict=True))
@@ -182,11 +177,9 @@ def _with_past(widths: Tensor, task: Task, history: History) -> Tensor:
 
 
 def _movements(movements: PDMovements, history: History) -> PDMovements:
-    nothing = movements.pose.new_zeros(history.dim - len(history.names))
-    return replace(
-        movements,
-        pose=torch.cat([movements.pose, nothing]),
-        reach=torch.cat([movements.reach, nothing]),
-        gain=torch.cat([movements.gain, nothing.expand(len(movements.gain), -1)], -1),
-        feedforward=OfShown(movements.feedforward, len(history.names)),
-    )
+    more = (0, history.dim - len(history.names))
+    padded: dict[str, Any] = {
+        name: pad(getattr(movements, name), more) for name in ("pose", "reach", "gain")
+    }
+    feedforward = OfShown(movements.feedforward, len(history.names))
+    return replace(movements, **padded, feedforward=feedforward)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.exploration import PDMovements
+from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.control.trigonometric_polynomial import cosine, match_of, sine
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
@@ -34,58 +35,35 @@ BOARD = 0.6  # m in front of the BioRob's shoulder
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """A robot whose tip writes in a vertical plane.
+    """A robot whose tip writes in a vertical plane."""
 
-    Args:
-        name: of the robot.
-        make_env: as in :class:`Task`; takes ``initial_mean`` and ``initial_std``.
-        space: its match space holds the tip's place.
-        origin: of the match space (M,), m: the middle of what is written.
-        plane: in which it is written (2, M): to the right, and up.
-        extent: of what is written, m.
-        duration: in which a shape is written, s.
-        pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M) of the match
-            space.
-        positions_first: whether the state has all positions first.
-        torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of
-            the joints.
-        stiffness, damping: of the PD controller that explores, N·m/rad and N·m·s/rad.
-        reach: of the exploration, in half ranges of the demonstrated positions.
-        search: for its policy.
-    """
-
-    name: str
-    make_env: Callable[..., MujocoRobotEnv]
-    space: StateSpace
-    origin: Tensor
-    plane: Tensor
-    extent: float
-    duration: float
-    pose: Callable[[Tensor], Tensor]
-    positions_first: bool
-    torques: Callable[[Tensor, Tensor, Tensor], Tensor]
-    stiffness: tuple[float, ...]
-    damping: tuple[float, ...]
-    reach: float
+    make_env: Callable[..., MujocoRobotEnv]  # takes ``initial_mean`` and ``initial_std``
+    space: StateSpace  # its match space holds the tip's place
+    origin: Tensor  # middle of what is written (M,), m
+    plane: Tensor  # in which it is written (2, M): to the right, and up
+    extent: float  # of what is written, m
+    duration: float  # in which a shape is written, s
+    pose: Callable[[Tensor], Tensor]  # joints (*batch, J), rad, with the tip at (*batch, M)
+    torques: Callable[[Tensor, Tensor, Tensor], Tensor]  # (S, F) of a motion of the joints (S, J)
+    stiffness: tuple[float, ...]  # of the PD controller that explores, N·m/rad
+    damping: tuple[float, ...]  # N·m·s/rad
+    reach: float  # of the exploration, in half ranges of the demonstrated positions
     search: SearchSettings
 
     def state(self, positions: Tensor, velocities: Tensor) -> Tensor:
         """States (*batch, D) of joints (*batch, J)."""
-        if self.positions_first:
-            return torch.cat([positions, velocities], -1)
-        return torch.stack([positions, velocities], -1).flatten(-2)
+        rates = rates_of(self.space.names)
+        order = torch.tensor([*rates.values(), *rates]).argsort()
+        return torch.cat([positions, velocities], -1)[..., order]
 
     def on_board(self, pen: Demonstrations) -> Demonstrations:
-        """Strokes of a pen, [x, y] in m, moved and scaled to where this robot writes them.
-
-        They are in the match space then.
-        """
+        """Strokes of a pen, [x, y] in m, moved and scaled into this robot's match space."""
         positions = self.origin + placed(pen, self.extent).positions @ self.plane
         return Demonstrations(positions, pen.time_step, self.space.match_space.names)
 
     def positions(self, states: Tensor) -> Tensor:
         """Joint positions (*batch, J) of states (*batch, D)."""
-        return states[..., : states.shape[-1] // 2] if self.positions_first else states[..., ::2]
+        return states[..., list(rates_of(self.space.names).values())]
 
     def holding_torques(self, states: Tensor) -> Tensor:
         """Torques (*batch, F), N·m, that hold the joints against gravity in states (*batch, D)."""
@@ -95,10 +73,7 @@ class Writer:
         return self.torques(flat, still, still).reshape(positions.shape)
 
     def movements(self, states: Tensor, u_max: Tensor, steps: int) -> PDMovements:
-        """Exploration by simple movements all over the demonstrated states (S, D).
-
-        Gravity is compensated (Section 5.2.4).
-        """
+        """Exploration by movements all over the demonstrated states (S, D), as in Section 5.2.4."""
         positions = self.positions(states)
         lowest, highest = positions.amin(0), positions.amax(0)
         still = torch.zeros_like(lowest)
@@ -126,7 +101,6 @@ def pendulum_writer() -> Writer:
     tip = [LINK_LENGTH * wave(first) + LINK_LENGTH * wave(both) for wave in (sine, cosine)]
     match_space = match_of(tip, ("x", "y"), ("m", "m"), dim=4, angles=(0, 2))
     return Writer(
-        name="double_pendulum",
         make_env=DoublePendulumEnv,
         space=replace(double_pendulum_space(), match_space=match_space),
         origin=torch.tensor([0.0, -0.65], dtype=torch.float64),
@@ -134,7 +108,6 @@ def pendulum_writer() -> Writer:
         extent=0.3,
         duration=3.0,
         pose=pose_at,
-        positions_first=False,
         torques=_pendulum_torques,
         stiffness=(2.0, 0.5),
         damping=(0.6, 0.12),
@@ -148,8 +121,8 @@ def pendulum_writer() -> Writer:
 def biorob_writer() -> Writer:
     """The BioRob's racket, on a board in front of it: to the right as the robot sees it, and up.
 
-    The place of the racket's centre [x, y, z] (m; forwards, to the left, up from the floor) is that
-    with a straight wrist, whose springs give way by less than a millimetre.
+    The racket's centre is at [x, y, z] (m; forwards, to the left, up from the floor). Its wrist is
+    taken to be straight: the springs give way by less than a millimetre.
 
     Example:
         >>> hanging = torch.zeros(6, dtype=torch.float64)
@@ -168,7 +141,6 @@ def biorob_writer() -> Writer:
         angles=(0, 1, 2),
     )
     return Writer(
-        name="biorob",
         make_env=BioRobEnv,
         space=replace(biorob_space(), match_space=match_space),
         origin=torch.tensor([BOARD, 0.0, 0.9], dtype=torch.float64),
@@ -176,7 +148,6 @@ def biorob_writer() -> Writer:
         extent=0.5,
         duration=2.0,
         pose=biorob_pose,
-        positions_first=True,
         torques=_biorob_torques,
         stiffness=(8.0, 20.0, 10.0),
         damping=(0.3, 0.5, 0.2),
@@ -191,8 +162,6 @@ def biorob_pose(places: Tensor) -> Tensor:
     """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at places (*batch, 3).
 
     Places are [x, y, z] in m; the elbow is below.
-
-    The elbow is below.
 
     Raises:
         ValueError: a place is out of the arm's reach.
@@ -219,13 +188,9 @@ def biorob_pose(places: Tensor) -> Tensor:
 
 
 def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
-    """States (N, T + 1, D) with the tip on the strokes, by inverse kinematics.
+    """States (N, T + 1, D) with the tip on strokes in the match space, by inverse kinematics.
 
     Velocities are central differences.
-
-    Args:
-        writer: the robot.
-        strokes: in its match space.
 
     Raises:
         DemonstrationError: a stroke leaves the robot's reach, or takes more torque than there is;
@@ -237,14 +202,9 @@ def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
         raise DemonstrationError(f"strokes must stay in the robot's reach: {error}") from error
     velocities = torch.gradient(positions, spacing=strokes.time_step, dim=1)[0]
     accelerations = torch.gradient(velocities, spacing=strokes.time_step, dim=1)[0]
-    motion = [part.flatten(0, 1) for part in (positions, velocities, accelerations)]
-    _check_torques(writer, strokes, motion)
-    return writer.state(positions, velocities)
-
-
-def _check_torques(writer: Writer, strokes: Demonstrations, motion: list[Tensor]) -> None:
+    motion = (part.flatten(0, 1) for part in (positions, velocities, accelerations))
     limits = writer.make_env().action_spec.space.high
-    needed = writer.torques(*motion).reshape(*strokes.positions.shape[:2], -1).abs()
+    needed = writer.torques(*motion).reshape(*positions.shape[:2], -1).abs()
     excess = (needed - limits).clamp(min=0).nonzero()
     if len(excess):
         stroke, step, motor = excess[0].tolist()
@@ -252,6 +212,7 @@ def _check_torques(writer: Writer, strokes: Demonstrations, motion: list[Tensor]
             f"stroke {stroke} needs {needed[stroke, step, motor]:.3g} N·m of motor {motor} at "
             f"{step * strokes.time_step:.1f} s, which has {limits[motor]:.3g} N·m"
         )
+    return writer.state(positions, velocities)
 
 
 def _pendulum_torques(positions: Tensor, velocities: Tensor, accelerations: Tensor) -> Tensor:

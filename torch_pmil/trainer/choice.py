@@ -30,8 +30,8 @@ def best_candidate(
     the smallest predicted loss.
 
     Args:
-        candidates: of all trials, one at least.
-        trials: all of them.
+        candidates: one at least.
+        trials: all of the run.
         loss: objective with the policy (changed in place) and a model of all experience.
         initial: p(x_0).
         promise: by which success is predicted; None if it is not.

@@ -23,9 +23,6 @@ class Ending:
         promise: what the newest model must predict after the last of them; None if no success is
             predicted, so that the confirmations alone end the run.
 
-    Raises:
-        ValueError: a number is not a whole number of at least 1.
-
     Example:
         >>> Ending(trials=0)
         Traceback (most recent call last):
@@ -44,19 +41,15 @@ class Ending:
         """Why a run ends after these trials, one at least; "" if it continues."""
         last = trials[-self.confirmations :]
         if len(last) == self.confirmations and all(trial.own_success for trial in last):
-            done = _succeeded(self.confirmations)
+            count = NUMERALS.get(self.confirmations, self.confirmations)
+            done = f"the own rollouts of {count} trials in a row succeeded"
+            if self.confirmations == 1:
+                done = "the own rollout succeeded"
             if self.promise is None:
                 return done
-            least = last[-1].promised_success_rate
-            if least is not None and least >= self.promise.aim:
+            rate = last[-1].promised_success_rate
+            if rate is not None and rate >= self.promise.aim:
                 return (
-                    f"{done}, and the model predicts success from {least:.1%} of the starts at "
-                    "least"
+                    f"{done}, and the model predicts success from {rate:.1%} of the starts at least"
                 )
         return LIMIT if len(trials) >= self.trials else ""
-
-
-def _succeeded(count: int) -> str:
-    if count == 1:
-        return "the own rollout succeeded"
-    return f"the own rollouts of {NUMERALS.get(count, count)} trials in a row succeeded"

@@ -29,10 +29,8 @@ class Problem:
             under ``"target"``.
         loss: the objective, with policy and model.
         initial: p(x_0).
-        limits: largest absolute values of the state (D,) in the data of the model; transitions
-            beyond are experience all the same. They are widened if the exploration would leave the
-            model fewer transitions than it has inputs
-            (:func:`~torch_pmil.model.experience.widened`).
+        limits: largest absolute values of the state (D,) in the data of the model, widened if they
+            would leave it too few (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: largest error of a success.
         make_policy: returns a new random policy, drawn from a generator.
@@ -42,7 +40,7 @@ class Problem:
         box: limits of the motion. ``env`` stops where it leaves them, the exploration begins small
             (:class:`~torch_pmil.control.cautious_motion.CautiousMotion`), and a policy that is
             likely to leave them is refused, or runs for its first steps alone
-            (:func:`~torch_pmil.search.admission.admit`). None for no limits.
+            (:func:`~torch_pmil.search.admission.admit`).
 
     Raises:
         TypeError: an environment is of another kind.

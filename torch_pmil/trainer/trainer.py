@@ -20,7 +20,7 @@ from torch_pmil.checks import check_whole
 from torch_pmil.control.exploration import CautiousMotion
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.experience import FEWEST_TRANSITIONS, Experience
-from torch_pmil.search.admission import Admission, admit
+from torch_pmil.search.admission import admit
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess
 from torch_pmil.search.trial_search import TrialSearch
@@ -47,16 +47,14 @@ class PMILTrainer(Trainer):
     A batch is a rollout. The first ones are the robot's exploration. After the last of them, and
     after each later one, the model is fitted to all experience, the policy is searched on it, and
     the policy may be measured from fresh starts, which is no experience and decides nothing. The
-    next batch is that policy's rollout on the robot. Training ends when the own rollout succeeded
-    and the model that learned from it predicts the promised success rate, or at the limit of
-    trials. :meth:`best_policy` then chooses among the policies that ran.
+    next batch is that policy's rollout on the robot. Training ends as :class:`Ending` says;
+    :meth:`best_policy` then chooses among the policies that ran.
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by :meth:`register_op` runs at TorchRL's places of the loop.
 
-    With a ``checkpoint_rotation`` everything is saved as soon as the robot has moved, before
-    anything is learned from the motion. :meth:`resume` continues from there, and ends with the very
-    same parameters.
+    With a ``checkpoint_rotation`` everything is saved once the robot has moved. :meth:`resume`
+    continues from there, and ends with the very same parameters.
 
     Args:
         problem: what is learned, on which robot. Its policy begins as the first that
@@ -67,15 +65,14 @@ class PMILTrainer(Trainer):
         optimizer: see :func:`~torch_pmil.gp.lbfgs.minimise`.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress where standard error is a terminal.
-        logger: TorchRL's logger for the numbers of every trial, or None.
-        checkpoint_rotation: rotation of the checkpoints, or None.
+        logger: TorchRL's logger for the numbers of every trial.
+        checkpoint_rotation: rotation of the checkpoints.
 
     Raises:
-        TypeError: the search settings or the problem are of another kind.
+        TypeError, ValueError: an argument is of another kind, or a number is out of range.
         RuntimeError: in :meth:`train`, if the exploration was cut short before it gave the
             transitions that a model needs.
         RunStopped, RolloutDiscarded, RobotError: in :meth:`train`, raised by the robot's reset.
-        ValueError: a number is out of range.
 
     Example: see ``torch_pmil/runs/training.py``.
     """
@@ -140,7 +137,12 @@ class PMILTrainer(Trainer):
         self.experience = Experience(capacity=frames)
         self.state = RunState(self.actor, env.batch_size.numel())
         self._fitted = 0  # transitions of the newest model's experience
-        self._register_state(policies, motions)
+        if self.evaluation_env is not None:
+            self.register_module("evaluation_env", self.evaluation_env)
+        self.register_module("policy_generator", GeneratorState(policies))
+        self.register_module("generator", GeneratorState(motions))
+        self.register_module("experience", self.experience)
+        self.register_module("progress", self.state)
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -201,13 +203,9 @@ class PMILTrainer(Trainer):
             )
 
     def best_policy(self) -> Candidate:
-        """The best of the policies that ran, by a model of all experience.
+        """The best of the policies that ran, by a model of all experience; the loss then holds it.
 
-        See :func:`~torch_pmil.trainer.choice.best_candidate`. The policy of the loss then holds its
-        parameters.
-
-        Raises:
-            RuntimeError: no policy has run yet.
+        See :func:`~torch_pmil.trainer.choice.best_candidate`. Raises RuntimeError if none has run.
         """
         if not self.candidates:
             why = self.stop_reason or "call train first"
@@ -217,10 +215,7 @@ class PMILTrainer(Trainer):
         return best_candidate(self.candidates, self.trials, loss, *judged)
 
     def promised_success_rate(self) -> float | None:
-        """Success rate that the loss's policy has at least, by its model, with 95 % confidence.
-
-        None if no success is predicted.
-        """
+        """Success rate of the loss's policy at least, by its model, at 95 % confidence, or None."""
         predicted = self._predicted_success()
         return None if predicted is None else predicted.least
 
@@ -230,12 +225,9 @@ class PMILTrainer(Trainer):
 
     def own_rollouts(self) -> list[TensorDictBase]:
         """Those of all policies that ran, (robots, steps) each, without those cut short."""
-        transitions = self.experience.transitions
-        return [
-            self.state.rollout_of(candidate, transitions)
-            for candidate in self.candidates
-            if self.trials[candidate.trial - 1].steps == self.loss_module.horizon
-        ]
+        trials, horizon = self.trials, self.loss_module.horizon
+        whole = [each for each in self.candidates if trials[each.trial - 1].steps == horizon]
+        return [self.own_rollout(candidate) for candidate in whole]
 
     def resume(self, saved: SavedRun | None = None) -> Path | None:
         """Continue from a checkpoint, or the newest undamaged one; return its path, or None.
@@ -244,7 +236,7 @@ class PMILTrainer(Trainer):
         one before it of the same run is taken, with a warning.
 
         Raises:
-            ValueError: there is neither a checkpoint nor a rotation to look for one.
+            ValueError: there is neither a checkpoint nor a rotation.
             CheckpointError: all are damaged or do not fit; the message is about the newest.
         """
         if saved is None and self.rotation is None:
@@ -257,15 +249,6 @@ class PMILTrainer(Trainer):
         loaded = restore(components, saved, self.rotation, widths)
         self.collector.update_policy_weights_()
         return loaded.path
-
-    def _register_state(self, policies: torch.Generator, motions: torch.Generator) -> None:
-        """Register all that a checkpoint holds besides TorchRL's own parts."""
-        if self.evaluation_env is not None:
-            self.register_module("evaluation_env", self.evaluation_env)
-        self.register_module("policy_generator", GeneratorState(policies))
-        self.register_module("generator", GeneratorState(motions))
-        self.register_module("experience", self.experience)
-        self.register_module("progress", self.state)
 
     def _begin(self) -> None:
         if self.progress_bar:
@@ -284,7 +267,7 @@ class PMILTrainer(Trainer):
             self._pbar.close()
 
     def _save(self, rollout: TensorDictBase) -> None:
-        """Write a checkpoint: its collector holds the rollout, its other parts are from before it.
+        """Write a checkpoint whose collector holds the rollout, and whose other parts do not.
 
         Raises RuntimeError if this ends the exploration with too few transitions.
         """
@@ -349,7 +332,9 @@ class PMILTrainer(Trainer):
 
     def _begin_trial(self) -> None:
         """Admit the policy that was found to the robot, measure it, and note what is predicted."""
-        admission = self._admit()
+        search = self.search
+        of_search = search.settings, search.result, self._report, search.optimizer
+        admission = admit(self.loss_module, self.initial, self.problem.box, *of_search)
         self.collector.steps = admission.steps
         if not admission.steps:
             self.request_stop("no policy was admitted: its first step may already leave the box")
@@ -362,19 +347,13 @@ class PMILTrainer(Trainer):
             (rate, count),
             None if predicted is None else predicted.rate,
             admission,
-            self.search.refitted,
+            search.refitted,
             self._fit.seconds,
         )
         shown = ["trial", "experience_s", "loss", *(["success_rate"] if count else [])]
         logged = ["horizon", "refitted", "gp_seconds", "search_seconds", "evaluations"]
         self._log(log_pbar=True, **{key: getattr(trial, key) for key in shown})
         self._log(**{key: getattr(trial, key) for key in logged})
-
-    def _admit(self) -> Admission:
-        """What the robot may do with the policy that was found."""
-        search, box = self.search, self.problem.box
-        of_search = search.settings, search.result, self._report, search.optimizer
-        return admit(self.loss_module, self.initial, box, *of_search)
 
     def _measure(self) -> tuple[float | None, int]:
         """Success rate of the policy from fresh starts and their number, if there are any."""

@@ -20,11 +20,11 @@ class Measurement:
     Args:
         trial: 1, 2, ...
         experience_s: seconds of experience from which was learned.
-        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no
-            experience; None if none were measured, and the own rollout alone is judged.
+        success_rate: that of ``n_eval`` rollouts from fresh starts, which are no experience; None
+            if none were measured, and the own rollout alone is judged.
         n_eval: number of these rollouts.
-        own_error: error of the trial's own rollout (m in the double pendulum), which becomes
-            experience; the largest of all targets.
+        own_error: error of the trial's own rollout, which becomes experience; the largest of all
+            targets.
         own_success: whether the own rollout is a success.
     """
 
@@ -40,22 +40,19 @@ class Measurement:
 class Trial(Measurement):
     """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement.
 
-    The measurement decides nothing.
-
     Args:
-        predicted_success_rate: predicted under the model on which the policy was searched; None
-            where no success can be predicted.
-        promised_success_rate: predicted with a confidence of 95 %, under the model that learned
-            from the own rollout; None where that was no success, or nothing can be predicted.
+        predicted_success_rate: by the model on which the policy was searched; None where no success
+            can be predicted.
+        promised_success_rate: with a confidence of 95 %, by the model that learned from the own
+            rollout; None where that was no success, or nothing can be predicted.
         loss: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
         refitted: whether a second search was made, from a refitted policy.
         gp_seconds, search_seconds: wall time of the model's fit and of the search, s.
         evaluations: number of evaluations of the objective.
         stop_reason: why the last run of L-BFGS ended.
-        steps: control steps of the own rollout; fewer than the task has if it was cut short, which
-            is a failure of infinite error.
-        cut_short: why the own rollout was cut short, "" if it was not.
+        steps: control steps of the own rollout.
+        cut_short: why the own rollout was cut short, a failure of infinite error; "" if it was not.
         leaving_probability: bound on the predicted probability that the own rollout leaves the box
             of the motion; None without a box.
         refused: number of policies that were refused before, since they were likely to leave it.
@@ -128,11 +125,8 @@ def own_error(
 ) -> float:
     """The largest error of a rollout (*robots, T), infinite where it was cut short.
 
-    Args:
-        rollout: as the robot executed it.
-        cut_short: why the robot ended it early, "" if it did not.
-        horizon: control steps that it should have.
-        error: of whole rollouts, (*robots).
+    ``cut_short`` says why the robot ended it early, "" if it did not; a whole rollout has
+    ``horizon`` steps. ``error`` maps whole rollouts to (*robots).
     """
     if cut_short or rollout.shape[-1] < horizon:
         return math.inf

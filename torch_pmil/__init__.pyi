@@ -1,0 +1,75 @@
+"""The public names of the package, which are imported on their first use."""
+
+from . import envs as envs
+from .control.known_part import KnownPart as KnownPart
+from .control.policy_file import (
+    PolicyFileError as PolicyFileError,
+    load_policy as load_policy,
+    save_policy as save_policy,
+)
+from .control.rbf_policy import RBFPolicy as RBFPolicy
+from .control.state_policy import StatePolicy as StatePolicy
+from .control.state_space import (
+    MatchSpace as MatchSpace,
+    StateSpace as StateSpace,
+    joint_match as joint_match,
+)
+from .demonstrations import (
+    DemonstrationError as DemonstrationError,
+    Demonstrations as Demonstrations,
+    load_demonstrations as load_demonstrations,
+    load_recordings as load_recordings,
+    shipped_demonstrations as shipped_demonstrations,
+)
+from .demonstrations.distribution import expert_distribution as expert_distribution
+from .demonstrations.preparation.alignment import (
+    AlignmentError as AlignmentError,
+    align as align,
+)
+from .gp.gaussian import (
+    Gaussian as Gaussian,
+    Moments as Moments,
+    NotPositiveDefiniteError as NotPositiveDefiniteError,
+)
+from .gp.kernel_expansion import KernelExpansion as KernelExpansion
+from .gp.moment_accuracy import (
+    InaccurateMomentsError as InaccurateMomentsError,
+    rounding_errors as rounding_errors,
+)
+from .gp.moment_matching import moment_match as moment_match
+from .model.dynamics import GPDynamics as GPDynamics
+from .model.experience import Experience as Experience
+from .model.particles import (
+    ParticlePrediction as ParticlePrediction,
+    sample_trajectories as sample_trajectories,
+)
+from .model.rollout import (
+    PredictionError as PredictionError,
+    predict_step as predict_step,
+    predict_trajectory as predict_trajectory,
+)
+from .runs.pmil import PMIL as PMIL
+from .search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
+from .search.losses import (
+    ExpectedSaturatingCost as ExpectedSaturatingCost,
+    TrajectoryKLLoss as TrajectoryKLLoss,
+)
+from .search.multi_target_loss import MultiTargetKLLoss as MultiTargetKLLoss
+from .search.policy_search import (
+    SearchResult as SearchResult,
+    SearchSettings as SearchSettings,
+    search_policy as search_policy,
+)
+from .search.saturating_cost import (
+    expected_saturating_cost as expected_saturating_cost,
+)
+from .tasks.method import Method as Method, PolicySettings as PolicySettings
+from .tasks.own_robot import own_robot as own_robot
+from .tasks.registry import load_experiment as load_experiment
+from .tasks.task import Task as Task
+from .trainer.ending import Ending as Ending
+from .trainer.problem import Problem as Problem
+from .trainer.trainer import PMILTrainer as PMILTrainer
+from .trainer.trials import Trial as Trial
+
+__version__: str

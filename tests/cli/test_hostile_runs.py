@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.bounded import measured
+from tests.helpers.finished_run import SUMMARY, TRIAL
 from tests.helpers.run_script import run_command
-from tests.helpers.summaries import SUMMARY, TRIAL
 from torch_pmil.cli.resume import overrides
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.summaries import RunError, count_trials, read_summary

@@ -21,6 +21,7 @@ from reproduction.ablation import (
 )
 from reproduction.learned import load_learned
 from tests.helpers.short_run import quick_fits, short_experiment, stop_in
+from tests.helpers.summaries import leave_summary, summary, trial
 from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
@@ -168,18 +169,9 @@ def test_all_variations_run_with_all_seeds(tmp_path: Path) -> None:
 
 
 def summary_of(rate: float, successes: list[bool]) -> dict:
-    trials = [
-        {"experience_s": 2.5 * n, "success_rate": rate, "own_success": own}
-        for n, own in enumerate(successes, start=1)
-    ]
-    numbers = {
-        "seed": 0,
-        "wall_seconds": 1.0,
-        "saved_trial": 1,
-        "saved_success_rate": rate,
-        "experience_s": 2.5 * (len(successes) + 1),
-    }
-    return {"experiment": "a", "stop_reason": "b", "trials": trials, **numbers}
+    trials = [trial(2.5 * n, rate, own_success=own) for n, own in enumerate(successes, start=1)]
+    seconds = 2.5 * (len(successes) + 1)
+    return summary(trials=trials, saved_success_rate=rate, experience_s=seconds)
 
 
 def test_outcome_is_the_saved_policys_rate_and_the_experience_before_the_first_success() -> None:
@@ -191,10 +183,8 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
     folders = []
     for index, name in enumerate(LABELS):
         for seed in range(2):
-            folders.append(tmp_path / name / str(seed))
-            folders[-1].mkdir(parents=True)
-            summary = summary_of(index / 10 + seed / 100, [False, seed == 1, index == 3])
-            (folders[-1] / "summary.json").write_text(json.dumps(summary))
+            run = summary_of(index / 10 + seed / 100, [False, seed == 1, index == 3])
+            folders.append(leave_summary(tmp_path / name / str(seed), **run))
     made = results(folders, quick=False)
     assert made.headline["ours_success"] == pytest.approx(0.005)
     assert made.headline["particles_success"] == pytest.approx(0.805)

@@ -14,6 +14,7 @@ from reproduction.figure7 import success_curves
 from reproduction.figure7a import needed_runs as runs_of_7a, results as results_7a
 from reproduction.figure7b import needed_runs as runs_of_7b, results as results_7b
 from tests.helpers.short_run import quick_fits, short_experiment
+from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.runs.summaries import RunError, read_summary
 
 
@@ -24,26 +25,15 @@ def leave_runs(root: Path, curves: Mapping[str, Sequence[float]]) -> list[Path]:
     folders = []
     for method, rates in curves.items():
         for seed in range(2):
-            trials = [
-                {"experience_s": 2.5 * number, "success_rate": rate}
-                for number, rate in enumerate(rates[:-1], start=1)
-            ]
-            numbers = {
-                "seed": seed,
-                "wall_seconds": 1.0,
-                "saved_trial": 1,
-                "saved_success_rate": rates[-1],
-            }
-            told = {
-                "experiment": method,
-                "stop_reason": "limit of trials",
-                "experience_s": 2.5 * len(rates),
-                "trials": trials,
-                **numbers,
-            }
-            folders.append(root / method / f"seed_{seed}")
-            folders[-1].mkdir(parents=True)
-            (folders[-1] / "summary.json").write_text(json.dumps(told))
+            folder = leave_summary(
+                root / method / f"seed_{seed}",
+                experiment=method,
+                seed=seed,
+                trials=[trial(2.5 * n, rate) for n, rate in enumerate(rates[:-1], start=1)],
+                saved_success_rate=rates[-1],
+                experience_s=2.5 * len(rates),
+            )
+            folders.append(folder)
     return folders
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from pathlib import Path
 
@@ -11,27 +10,17 @@ import torch
 
 from reproduction import handwriting
 from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, results
+from tests.helpers.summaries import leave_summary
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.handwriting import Writing
 
 TASKS = [(robot, shape) for robot, shapes in SHAPES.items() for shape in shapes]
 
 
-def summary(error: float, spread: float, seed: int) -> dict:
-    """As much of a run's as the results read."""
-    return {
-        "experiment": "any",
-        "seed": seed,
-        "trials": [{"experience_s": 12.0, "success_rate": 1.0}],
-        "experience_s": 20.0 + seed,
-        "wall_seconds": 1.0,
-        "saved_trial": 1,
-        "saved_success_rate": 1.0,
-        "two_sigma_coverage": 0.95,
-        "stop_reason": "limit of trials",
-        "rms_error": {"x": 0.6 * error, "y": 0.8 * error},
-        "demonstration_spread": {"x": 0.0, "y": spread},
-    }
+def errors(error: float) -> dict[str, dict[str, float]]:
+    """Of a run whose demonstrations spread by 0.01 m."""
+    spread = {"x": 0.0, "y": 0.01}
+    return {"rms_error": {"x": 0.6 * error, "y": 0.8 * error}, "demonstration_spread": spread}
 
 
 def test_every_shape_and_robot_has_a_folder_for_every_seed(tmp_path: Path) -> None:
@@ -52,7 +41,7 @@ def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
 
 
 def test_ratio_is_one_where_the_error_is_the_spread_in_whatever_direction() -> None:
-    assert ratio(summary(error=0.02, spread=0.02, seed=0)) == pytest.approx(1.0)
+    assert ratio(errors(0.01)) == pytest.approx(1.0)
 
 
 def test_every_median_is_at_its_shape_and_robot(
@@ -64,9 +53,8 @@ def test_every_median_is_at_its_shape_and_robot(
     runs = needed_runs(tmp_path, False)
     for index, run in enumerate(runs):
         number, seed = index % len(TASKS), index // len(TASKS)
-        run.out.mkdir(parents=True)
         error = 0.01 * (1 + number) * (1.0, 0.5, 7.0)[seed]
-        (run.out / "summary.json").write_text(json.dumps(summary(error, spread=0.01, seed=seed)))
+        leave_summary(run.out, seed=seed, experience_s=20.0 + seed, **errors(error))
     found = results([run.out for run in runs], quick=False)
     for number, (robot, shape) in enumerate(TASKS):
         assert found.headline[f"{robot}_{shape}_ratio"] == pytest.approx(1 + number)

@@ -22,6 +22,7 @@ from reproduction.imperfect import (
     results,
     variants,
 )
+from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.tasks.double_pendulum import UPRIGHT
 from torch_pmil.tasks.registry import load_experiment
@@ -110,20 +111,17 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path, monkeypatch: pytest.Monke
     """Failures of one that went wrong say why; the others learn."""
     folders = [run.out for run in needed_runs(tmp_path, quick=False)]
     for number, folder in enumerate(folders):
-        folder.mkdir(parents=True)
         seed, failed = number % len(SEEDS), "failed" in folder.parent.name
         reason = {"cause": "a", "message": f"demonstration {WRONG} is unlike the others: at 1 s"}
-        summary = {
-            "experiment": folder.parent.name,
-            "seed": seed,
-            "saved_success_rate": 1.0,
-            "experience_s": 10.0 + seed,
-            "loss_per_step": [1.0, 2.0],
-            "stop_reason": "limit of trials",
-            "diagnosis": [reason] if failed and seed else [],
-            "trials": [{"experience_s": 5.0, "own_success": not failed}],
-        }
-        (folder / "summary.json").write_text(json.dumps(summary))
+        leave_summary(
+            folder,
+            experiment=folder.parent.name,
+            seed=seed,
+            experience_s=10.0 + seed,
+            loss_per_step=[1.0, 2.0],
+            diagnosis=[reason] if failed and seed else [],
+            trials=[trial(5.0, 0.0, own_success=not failed)],
+        )
     monkeypatch.setattr(imperfect, "load_learned", learned_of)
     monkeypatch.setattr(
         imperfect, "measured_success", lambda policy, *_: 0.25 if "failed" in policy else 1.0

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from reproduction.baselines.known_peers import named, trials_until
 from reproduction.peers import OTHERS, TASKS, TIMES, needed_runs, results
+from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.files import read_json
 
 TUNING = Path(__file__).parents[2] / "results" / "paper" / "peers"
@@ -59,25 +59,11 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
         rate = 1.0 if name in ours else 0.5 * (seed % 2 == 0)
         factor = 100 if name.endswith("_100x") else 1
         trials = [
-            {
-                "experience_s": factor * experience,
-                "success_rate": rate * (experience >= 20),
-                "own_success": False,
-            }
+            trial(factor * experience, rate * (experience >= 20), own_success=False)
             for experience in (10.0, 20.0, 50.0)
         ]
-        summary = {
-            "wall_seconds": 1.0,
-            "saved_trial": 1,
-            "stop_reason": "limit of trials",
-            "experiment": run.out.parent.name,
-            "seed": seed,
-            "experience_s": factor * 50.0,
-            "saved_success_rate": rate,
-            "trials": trials,
-        }
-        run.out.mkdir(parents=True)
-        (run.out / "summary.json").write_text(json.dumps(summary))
+        numbers = {"experience_s": factor * 50.0, "saved_success_rate": rate, "trials": trials}
+        leave_summary(run.out, experiment=name, seed=seed, **numbers)
     found = results([run.out for run in runs], quick=False)
     headline = found.headline
     for task, methods in TASKS.items():

@@ -15,6 +15,7 @@ import pytest
 
 from reproduction import reproduction
 from reproduction.reproduction import PaperExperiment, Results, Run, finish, learning_run, reproduce
+from tests.helpers.summaries import leave_summary
 from torch_pmil.plotting import Figure
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import load_experiment
@@ -24,25 +25,7 @@ COMMAND = "python scripts/reproduce.py toy"
 
 def learn_quickly(out: Path, command: str, seed: int) -> None:
     """Leaves what a run leaves, and the process that it was in."""
-    out.mkdir(parents=True)
-    trials = [{"experience_s": 2.5, "success_rate": 0.0}]
-    numbers = {
-        "seed": seed,
-        "wall_seconds": 1.0,
-        "two_sigma_coverage": 1.0,
-        "saved_trial": 1,
-        "saved_success_rate": 1.0,
-        "experience_s": 5.0,
-    }
-    summary = {
-        "experiment": "toy",
-        "stop_reason": "limit",
-        "command": command,
-        "trials": trials,
-        "process": os.getpid(),
-        **numbers,
-    }
-    (out / "summary.json").write_text(json.dumps(summary))
+    leave_summary(out, experiment="toy", seed=seed, command=command, process=os.getpid())
 
 
 def fail(out: Path, command: str) -> None:

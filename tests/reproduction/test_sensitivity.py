@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from reproduction.sensitivity import OURS, SEEDS, SETTINGS, needed_runs, results, variants
+from tests.helpers.summaries import leave_summary
 
 
 def test_each_variant_differs_in_one_setting_by_a_factor_of_two() -> None:
@@ -26,19 +26,7 @@ def test_numbers_are_those_of_the_runs_seed_by_seed(tmp_path: Path) -> None:
     runs = needed_runs(tmp_path, quick=False)
     assert len({run.out for run in runs}) == len(runs) == len(SEEDS) * (2 * len(SETTINGS) + 1)
     for number, run in enumerate(runs):
-        run.out.mkdir(parents=True)
-        trial = {"experience_s": 5.0, "success_rate": 1.0, "own_success": True}
-        summary = {
-            "saved_success_rate": 1.0 if number < len(SEEDS) else 0.75,
-            "wall_seconds": 1.0,
-            "saved_trial": 1,
-            "stop_reason": "limit of trials",
-            "experience_s": 10.0,
-            "experiment": "any",
-            "seed": 20,
-            "trials": [trial],
-        }
-        (run.out / "summary.json").write_text(json.dumps(summary))
+        leave_summary(run.out, saved_success_rate=1.0 if number < len(SEEDS) else 0.75)
     found = results([run.out for run in runs], quick=False)
     assert found.headline["ours_success"] == 1.0
     assert found.headline["noise_std_halved_success"] == 0.75

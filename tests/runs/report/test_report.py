@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import torch_pmil
-from tests.helpers.summaries import SUMMARY, TRIAL
+from tests.helpers.finished_run import SUMMARY, TRIAL
 from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import write_video
 from torch_pmil.runs.report import write_report

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from itertools import islice
 
 import pytest
 import torch
@@ -306,7 +307,7 @@ def test_searches_for_success_from_random_policies_are_so_many_in_a_whole_run(
     given: list[int] = []
 
     def counted(*arguments: object) -> SearchResult:
-        given.append(len(list(arguments[5])))
+        given.append(len(list(islice(arguments[5], SUCCESS_SEARCHES + 1))))
         return arguments[4]
 
     monkeypatch.setattr(trial_search, "search_for_success", counted)

@@ -55,7 +55,7 @@ def draw(demonstrated: Gaussian, predicted: Gaussian, executed: Tensor) -> Figur
 def test_every_name_of_the_room_is_there_when_it_is_asked_for() -> None:
     assert {"Figure", "Plane", "plot_policy"} <= set(dir(plotting))
     assert all(hasattr(plotting, name) for name in dir(plotting))
-    with pytest.raises(AttributeError, match="No torch_pmil.plotting attribute plot_nothing"):
+    with pytest.raises(AttributeError, match=r"No .* attribute plot_nothing"):
         plotting.plot_nothing  # noqa: B018
 
 

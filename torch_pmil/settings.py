@@ -52,7 +52,8 @@ class Setting:
         bounds = (self.above, self.least, self.below, self.most)
         for word, bound in zip(("above", "at least", "below", "at most"), bounds, strict=True):
             if bound is not None:
-                parts.append(f"{word} {int(bound) if bound == int(bound) else bound:g}")
+                number = str(int(bound)) if bound == int(bound) else f"{bound:g}"
+                parts.append(f"{word} {number}")
         return ", ".join(parts)
 
     def __str__(self) -> str:

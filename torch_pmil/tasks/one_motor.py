@@ -28,6 +28,7 @@ def one_motor_space() -> StateSpace:
     """State [q1, dq1, q2, dq2], matched in the positions of the two link ends.
 
     Example:
+        >>> import torch
         >>> one_motor_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.2000, 0.0000, 0.5000], dtype=torch.float64)
     """

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from reproduction.plots.ranges import draw_range
 from torch_pmil.plotting.calibration import draw_rates
 from torch_pmil.plotting.style import (
     BLUE,
@@ -17,7 +18,6 @@ from torch_pmil.plotting.style import (
     SKY,
     WIDTH,
     check_some,
-    draw_range,
     legend_above,
     style,
 )

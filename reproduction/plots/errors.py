@@ -8,12 +8,12 @@ from itertools import cycle
 import numpy as np
 from matplotlib.figure import Figure
 
+from reproduction.plots.ranges import draw_range
 from torch_pmil.plotting.style import (
     BLUE,
     GREEN,
     VERMILLION,
     check_some,
-    draw_range,
     legend_above,
     style,
 )

@@ -125,26 +125,3 @@ def draw_band(panel: Axes, x: np.ndarray, band: Band, colour: str, label: str) -
     look: dict[str, Any] = {"facecolor": (colour, 0.25), "edgecolor": (colour, 0.8)}
     panel.fill_between(x, lower, upper, linewidth=0.8, label=label, **look)
     panel.plot(x, mean, color=colour, linewidth=1.4)
-
-
-def draw_range(
-    panel: Axes,
-    x: Sequence[float],
-    values: np.ndarray,
-    colour: str,
-    marker: str,
-    label: str,
-    size: int = 1,
-) -> None:
-    """Draw the mean of values (runs, K), with the range over the runs as error bars."""
-    mean = values.mean(0)
-    bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    weight: dict[str, Any] = {
-        "markersize": 1 + 3 * size,
-        "linewidth": 1.6 * size,
-        "elinewidth": 0.8 * size,
-        "capsize": 2 * size,
-    }
-    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
-    for artist in drawn.get_children():
-        artist.set_clip_on(False)

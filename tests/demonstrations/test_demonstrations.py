@@ -98,13 +98,10 @@ def test_interrupted_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch
     assert os.listdir(tmp_path) == ["walks.npz"]
 
 
-def test_missing_file_is_an_os_error(tmp_path):
+def test_missing_files_and_other_kinds_are_refused(tmp_path):
     for name in ("none.npz", "none.csv"):
         with pytest.raises(FileNotFoundError):
             load_demonstrations(tmp_path / name)
-
-
-def test_other_kind_of_file_is_refused(tmp_path):
     path = tmp_path / "walks.txt"
     path.touch()
     expected = (
@@ -222,12 +219,6 @@ def test_columns_of_targets_may_stand_anywhere_after_the_time(tmp_path):
     assert torch.equal(moved.positions, loaded.positions)
     assert torch.equal(moved.targets, loaded.targets)
     assert (moved.names, moved.target_names) == (loaded.names, loaded.target_names)
-
-
-def test_csv_that_is_not_text_is_refused(tmp_path):
-    path = tmp_path / "walks.csv"
-    path.write_bytes(b"\xff\xfe\x00demonstration")
-    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable CSV file")
 
 
 def test_recordings_have_lengths_and_times_of_their_own(tmp_path):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
 
 import mujoco
 import torch
@@ -43,3 +46,13 @@ def physics(model: mujoco.MjModel, state: Tensor) -> mujoco.MjData:
     mujoco.mj_setState(model, data, state.numpy(), FULL_PHYSICS)
     mujoco.mj_forward(model, data)
     return data
+
+
+def drawn(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A script that draws without a screen, in a process of its own."""
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    kept = {name: value for name, value in os.environ.items() if name not in screens}
+    command = [sys.executable, "-W", "ignore", "-c", script]
+    return subprocess.run(
+        command, env=kept | environment, capture_output=True, text=True, check=False
+    )

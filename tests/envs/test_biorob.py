@@ -142,24 +142,22 @@ def test_partial_reset_forgets_the_hits_of_the_masked_robots_only() -> None:
 
 
 @pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
-def test_holding_torques_keep_the_batch(batch: tuple[int, ...]) -> None:
-    poses = torch.tensor(START[:3], dtype=torch.float64).expand(*batch, 3)
-    torques = holding_torques(poses)
-    assert torques.shape == poses.shape and torques.dtype == torch.float64
-    assert (torques == torques.reshape(-1, 3)[0]).all()
-
-
-def test_holding_torques_do_the_work_against_gravity() -> None:
+def test_holding_torques_keep_the_batch_and_do_the_work_against_gravity(
+    batch: tuple[int, ...],
+) -> None:
     """Virtual work: motors that turn as the cables demand do what lifts the arm, tau·dr = dV."""
-    poses = torch.tensor([START[:3]], dtype=torch.float64)
-    step, ratio = 1e-4, torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
+    pose = torch.tensor(START[:3], dtype=torch.float64)
+    torques = holding_torques(pose.expand(*batch, 3))
+    assert torques.shape == (*batch, 3) and torques.dtype == torch.float64
+    assert (torques == torques.reshape(-1, 3)[0]).all()
+    ratio = torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
     slopes = [
-        (_height_energy(poses[0] + e) - _height_energy(poses[0] - e)) / (2 * step)
-        for e in step * torch.eye(3, dtype=torch.float64)
+        (_height_energy(pose + e) - _height_energy(pose - e)) / 2e-4
+        for e in 1e-4 * torch.eye(3, dtype=torch.float64)
     ]
-    torch.testing.assert_close(
-        holding_torques(poses)[0] @ ratio, torch.stack(slopes), rtol=0, atol=0.05
-    )  # cables and wrist give a little
+    # cables and wrist give a little
+    work = torques.reshape(-1, 3)[0] @ ratio
+    torch.testing.assert_close(work, torch.stack(slopes), rtol=0, atol=0.05)
 
 
 def _height_energy(pose: Tensor) -> Tensor:

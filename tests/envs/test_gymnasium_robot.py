@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 
 import gymnasium
@@ -12,7 +10,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-from tests.envs.driving import step
+from tests.envs.driving import drawn, step
 from torch_pmil.envs import DoublePendulumEnv, registration
 from torch_pmil.envs.registration import ROBOTS, register_robots
 
@@ -32,8 +30,7 @@ def test_gymnasium_accepts_the_robot(name: str) -> None:
 @each_robot
 def test_robot_is_known_to_gymnasium_when_the_environments_are_imported(name: str) -> None:
     code = f"import torch_pmil.envs, gymnasium; print(gymnasium.make('torch_pmil/{name}').spec.id)"
-    command = [sys.executable, "-W", "ignore", "-c", code]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    result = drawn(code)
     assert result.stdout.strip() == f"torch_pmil/{name}"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -28,9 +30,9 @@ def make_env(history: History, **settings: object) -> HistoryEnv:
 
 
 def rolled_out(history: History, **settings: object) -> TensorDictBase:
-    env, draws = make_env(history, seed=3, **settings), Draws(0)
-    shape = env.action_spec.shape
-    return env.rollout(6, lambda shown: shown.set("action", draws.uniform(-5.0, 5.0, *shape)))
+    env = make_env(history, seed=3, **settings)
+    draw = partial(Draws(0).uniform, -5.0, 5.0, *env.action_spec.shape)
+    return env.rollout(6, lambda tensordict: tensordict.set("action", draw()))
 
 
 each_history = pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
-from tests.envs.driving import resumed, run, step
+from tests.envs.driving import drawn, resumed, run, step
 from tests.helpers.draws import Draws
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.biorob import BALL, biorob_model
@@ -153,8 +149,5 @@ for robot, ball in enumerate(balls):
 
 @pytest.mark.slow
 def test_picture_of_each_robot_shows_its_own_ball() -> None:
-    command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False
-    )
+    result = drawn(PICTURES, MUJOCO_GL="egl")
     assert result.returncode == 0, result.stderr

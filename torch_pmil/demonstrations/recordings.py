@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
-from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 
 ALIGN = "pmil align"
 
@@ -62,11 +62,7 @@ class Recordings:
                 "labels, times and values must be as many, one for each demonstration, got "
                 f"{counts[0]}, {counts[1]} and {counts[2]}"
             )
-        if self.values[0].shape[1] != entries or len(set(self.names)) != entries:
-            width = self.values[0].shape[1]
-            raise DemonstrationError(
-                f"names must be {width} different names, one per column, got {self.names}"
-            )
+        check_names(self.names, self.values[0].shape[1])
         for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
             if values.shape != (len(times), entries) or not len(times):
                 raise DemonstrationError(

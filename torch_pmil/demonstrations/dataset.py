@@ -56,13 +56,11 @@ class Demonstrations:
                 f"time_step must be positive and finite, in seconds, got {self.time_step!r}"
             )
         object.__setattr__(self, "time_step", float(self.time_step))
-        bad = (~self.positions.isfinite()).nonzero()
-        if len(bad):
-            demonstration, step, column = bad[0].tolist()
+        for demonstration, step, column in (~self.positions.isfinite()).nonzero()[:1].tolist():
+            number, name = self.positions[demonstration, step, column].item(), self.names[column]
             raise DemonstrationError(
-                "positions must be finite, got "
-                f"{self.positions[demonstration, step, column].item()} in demonstration "
-                f"{demonstration}, step {step}, column {self.names[column]}"
+                f"positions must be finite, got {number} in demonstration {demonstration}, step "
+                f"{step}, column {name}"
             )
         if self.targets is not None:
             object.__setattr__(self, "targets", _numbers("targets", self.targets))
@@ -79,19 +77,17 @@ class Demonstrations:
                 f"targets must have shape ({N}, entries), one for each demonstration, got {shape}"
             )
         check_names(self.target_names, shape[1], "target_names", "entry")
-        bad = (~targets.isfinite()).nonzero()
-        if len(bad):
-            demonstration, entry = bad[0].tolist()
+        for demonstration, entry in (~targets.isfinite()).nonzero()[:1].tolist():
+            number = targets[demonstration, entry].item()
             raise DemonstrationError(
-                f"targets must be finite, got {targets[demonstration, entry].item()} of "
-                f"demonstration {demonstration}"
+                f"targets must be finite, got {number} of demonstration {demonstration}"
             )
-        distinct, counts = targets.unique(dim=0, return_counts=True)
-        if (counts < 2).any():
-            lonely = distinct[counts.argmin()].tolist()
-            raise DemonstrationError(
-                f"each target must have at least two demonstrations, got one of {lonely}"
-            )
+        for target, count in zip(*targets.unique(dim=0, return_counts=True), strict=True):
+            if count < 2:
+                raise DemonstrationError(
+                    f"each target must have at least two demonstrations, got one of "
+                    f"{target.tolist()}"
+                )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
         """The S different targets (S, K), in order of appearance, and the set of each.

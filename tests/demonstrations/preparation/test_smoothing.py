@@ -71,10 +71,8 @@ def test_velocities_of_a_known_motion_with_noise_are_wrong_by_bias_and_noise_alo
     """A hand's swing of 1 s with a noise of 2 mm: the mean error is the gain's, the rest noise."""
     times, std, omega = instants(100.0), 0.002, 2 * math.pi
     far = inner(times)
-    swing, rate = (
-        0.2 * (omega * times).sin()[:, None],
-        0.2 * omega * (omega * times).cos()[far, None],
-    )
+    swing = 0.2 * (omega * times).sin()[:, None]
+    rate = 0.2 * omega * (omega * times).cos()[far, None]
     recorded = swing + std * noise(len(times), RECORDINGS)
     error = velocities(recorded, times, PERIOD)[far] - rate
     variance, mean = std**2 * variance_of_velocities(0.01), error.mean(1, keepdim=True)

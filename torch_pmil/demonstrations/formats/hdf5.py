@@ -76,7 +76,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         needed = sorted({entry.key for entry in entries})
         shown = [_needed(root, label, layout.observed, first, needed) for label in labels]
         _check_storage([one[key] for one in shown for key in needed])
-        arrays = [_arrays(label, one) for label, one in zip(labels, shown, strict=True)]
+        arrays = [{key: data[()] for key, data in one.items()} for one in shown]
     values = [columns_of(one, entries) for one in arrays]
     times = (step * np.arange(len(one), dtype=np.float64) for one in values)
     return recordings_of(labels, times, values, entries, format=layout.format)
@@ -139,8 +139,8 @@ def _datasets(observed: Any) -> dict[str, Any]:
 def _needed(
     root: Any, label: str, observed: str, first: dict[str, Any], keys: Sequence[str]
 ) -> dict[str, Any]:
-    """The data sets of a demonstration that are read."""
-    datasets = {}
+    """The data sets of a demonstration that are read, in one shape and of one length."""
+    datasets: dict[str, Any] = {}
     for key in keys:
         path = f"{label}/{observed}" if key == observed else f"{label}/{observed}/{key}"
         data = _member(root, path)
@@ -150,19 +150,11 @@ def _needed(
                 f"{label} must hold {key} in the shape of the first demonstration"
             )
         datasets[key] = data
-    return datasets
-
-
-def _arrays(label: str, datasets: dict[str, Any]) -> dict[str, np.ndarray]:
-    arrays = {key: data[()] for key, data in datasets.items()}
-    first = next(iter(arrays))
-    for key, array in arrays.items():
-        if len(array) != len(arrays[first]):
+        if len(data) != (samples := len(datasets[keys[0]])):
             raise DemonstrationError(
-                f"{label}, {key} must have {len(arrays[first])} samples like {first}, got "
-                f"{len(array)}"
+                f"{label}, {key} must have {samples} samples like {keys[0]}, got {len(data)}"
             )
-    return arrays
+    return datasets
 
 
 def _member(group: Any, path: str) -> Any:

@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,21 +101,31 @@ def test_matlab_array_is_no_larger_than_its_bytes(
     assert refusal_of(tmp_path / "shape.mat").endswith("cannot have the shape (1, 1000000000)")
 
 
+def h5py() -> Any:
+    return pytest.importorskip("h5py")
+
+
 @pytest.fixture
 def secret(tmp_path: Path) -> Path:
     """Numbers that are nobody's business."""
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "secret.h5", "w") as file:
+    with h5py().File(tmp_path / "secret.h5", "w") as file:
         file["demo/obs/x"] = np.arange(5.0)
     return tmp_path / "secret.h5"
 
 
-def demonstrations(path: Path, write: Callable[[object, str], None]) -> Path:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w") as file:
+def demonstrations(folder: Path, write: Callable[[Any, str], object]) -> Path:
+    """A file of two demonstrations, each written by a function of file and group."""
+    with h5py().File(folder / "demo.hdf5", "w") as file:
         for number in range(2):
             write(file, f"data/demo_{number}")
-    return path
+    return folder / "demo.hdf5"
+
+
+def data_set(folder: Path, shape: tuple[int, ...] | None = None, **options: object) -> Path:
+    """Of such demonstrations, each with one data set of a shape or of given numbers."""
+    return demonstrations(
+        folder, lambda file, demo: file.create_dataset(f"{demo}/obs/x", shape, "f8", **options)
+    )
 
 
 @pytest.mark.parametrize(
@@ -124,18 +135,16 @@ def demonstrations(path: Path, write: Callable[[object, str], None]) -> Path:
 def test_links_of_hdf5_are_not_followed(
     tmp_path: Path, secret: Path, place: str, target: str, soft: bool
 ) -> None:
-    h5py = pytest.importorskip("h5py")
-
-    def write(file: object, demo: str) -> None:
+    def write(file: Any, demo: str) -> None:
         if demo.endswith("0"):
             file[f"{demo}/obs/x"] = np.zeros(5)
         elif soft:
-            file["away"] = h5py.ExternalLink(str(secret), target)
-            file[demo + place] = h5py.SoftLink("/away")
+            file["away"] = h5py().ExternalLink(str(secret), target)
+            file[demo + place] = h5py().SoftLink("/away")
         else:
-            file[demo + place] = h5py.ExternalLink(str(secret), target)
+            file[demo + place] = h5py().ExternalLink(str(secret), target)
 
-    path = demonstrations(tmp_path / "demo.hdf5", write)
+    path = demonstrations(tmp_path, write)
     name = (place or "demo_1").rpartition("/")[2]
     expected = f"{path}: {name} must lie in the file itself, got a link"
     assert refused(load_recordings, path, time_step=0.1) == expected
@@ -143,17 +152,15 @@ def test_links_of_hdf5_are_not_followed(
 
 @pytest.mark.parametrize("kind", ["external", "virtual"])
 def test_numbers_of_other_files_are_not_read(tmp_path: Path, secret: Path, kind: str) -> None:
-    h5py = pytest.importorskip("h5py")
-
-    def write(file: object, demo: str) -> None:
+    def write(file: Any, demo: str) -> None:
         if kind == "external":
             file.create_dataset(f"{demo}/obs/x", (5,), "f8", external=[(str(secret), 0, 40)])
             return
-        layout = h5py.VirtualLayout((5,), "f8")
-        layout[:] = h5py.VirtualSource(str(secret), "demo/obs/x", (5,))
+        layout = h5py().VirtualLayout((5,), "f8")
+        layout[:] = h5py().VirtualSource(str(secret), "demo/obs/x", (5,))
         file.create_virtual_dataset(f"{demo}/obs/x", layout)
 
-    path = demonstrations(tmp_path / "demo.hdf5", write)
+    path = demonstrations(tmp_path, write)
     assert refusal_of(path, time_step=0.1).startswith(
         "/data/demo_0/obs/x must hold its numbers itself, got some of other files"
     )
@@ -167,12 +174,7 @@ def test_numbers_of_other_files_are_not_read(tmp_path: Path, secret: Path, kind:
     ],
 )
 def test_chunks_are_counted(tmp_path: Path, shape: tuple[int], chunk: int, complaint: str) -> None:
-    path = demonstrations(
-        tmp_path / "demo.hdf5",
-        lambda file, demo: file.create_dataset(
-            f"{demo}/obs/x", shape, "f8", chunks=(chunk,), maxshape=(None,)
-        ),
-    )
+    path = data_set(tmp_path, shape, chunks=(chunk,), maxshape=(None,))
     assert refusal_of(path, time_step=0.1) == f"there must be {complaint}"
 
 
@@ -180,11 +182,11 @@ def test_chunk_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     packing = zlib.compressobj(1)
     packed = b"".join(packing.compress(bytes(16 * MIB)) for _ in range(64)) + packing.flush()
 
-    def write(file: object, demo: str) -> None:
+    def write(file: Any, demo: str) -> None:
         data = file.create_dataset(f"{demo}/obs/x", (5,), "f8", chunks=(5,), compression="gzip")
         data.id.write_direct_chunk((0,), packed)
 
-    path = demonstrations(tmp_path / "demo.hdf5", write)
+    path = demonstrations(tmp_path, write)
     assert refusal_of(path, time_step=0.1) == "/data/demo_0/obs/x has a chunk of more than 40 bytes"
 
 
@@ -192,60 +194,47 @@ def test_chunk_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("more", [{"shuffle": True}, {"fletcher32": True}, {}], ids=str)
 def test_packed_chunks_come_back(tmp_path: Path, options: dict, more: dict) -> None:
     walk = np.random.default_rng(0).normal(size=(50, 2))
-    path = demonstrations(
-        tmp_path / "demo.hdf5",
-        lambda file, demo: file.create_dataset(
-            f"{demo}/obs/x", data=walk, chunks=(7, 2), **options, **more
-        ),
-    )
+    path = data_set(tmp_path, data=walk, chunks=(7, 2), **options, **more)
     assert np.array_equal(load_recordings(path, time_step=0.1).values[1], walk)
 
 
 def test_wide_data_set_is_refused_before_its_entries_are_named(tmp_path: Path) -> None:
-    path = demonstrations(
-        tmp_path / "demo.hdf5",
-        lambda file, demo: file.create_dataset(f"{demo}/obs/x", (2, 10**12), "f8", chunks=(1, 1)),
-    )
+    path = data_set(tmp_path, (2, 10**12), chunks=(1, 1))
     complaint = "there must be at most 10000 entries, got 1000000000000"
     assert refusal_of(path, time_step=0.1) == complaint
 
 
 @pytest.mark.parametrize("frequency", [10**400, 0, "x", [], None], ids=lambda value: str(value)[:9])
 def test_control_frequency_that_is_none_is_refused(tmp_path: Path, frequency: object) -> None:
-    path = demonstrations(
-        tmp_path / "demo.hdf5", lambda file, demo: file.update({f"{demo}/obs/x": np.zeros(3)})
-    )
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "a") as file:
+    path = data_set(tmp_path, data=np.zeros(3))
+    with h5py().File(path, "a") as file:
         settings = {"env_kwargs": {"control_freq": frequency}}
         file["data"].attrs["env_args"] = json.dumps(settings)
     assert "time" in refusal_of(path)
 
 
-def test_episodes_of_parquet_are_counted_before_they_are_parted(tmp_path: Path) -> None:
+EMPTY = [[], [], []]
+
+
+@pytest.mark.parametrize(
+    ("episodes", "states", "complaint"),
+    [
+        (np.arange(200_000), np.zeros(200_000), "at most 10000 demonstrations, got 200000"),
+        (["x"] * 3, np.zeros(3), "column episode_index must hold numbers, got string"),
+        ([[0.0]] * 3, np.zeros(3), "column episode_index must hold numbers, got list"),
+        (np.zeros(3), EMPTY, "must hold entries, got none"),
+    ],
+    ids=["many", "text", "lists", "no entries"],
+)
+def test_frames_of_parquet_are_counted_and_their_index_is_numbers(
+    tmp_path: Path, episodes: Any, states: Any, complaint: str
+) -> None:
     pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    columns = {"episode_index": np.arange(200_000), "timestamp": np.zeros(200_000)}
-    columns["observation.state"] = np.zeros(200_000)
+    states = pa.array([[]] * 3, pa.list_(pa.float32())) if states is EMPTY else states
+    columns = {"episode_index": episodes, "timestamp": np.arange(float(len(episodes)))}
+    columns["observation.state"] = states
     pq.write_table(pa.table(columns), tmp_path / "walks.parquet")
-    complaint = "there must be at most 10000 demonstrations, got 200000"
-    assert refusal_of(tmp_path / "walks.parquet") == complaint
-
-
-@pytest.mark.parametrize("column", ["x", [0.0]], ids=["text", "lists"])
-def test_index_of_parquet_must_be_numbers(tmp_path: Path, column: object) -> None:
-    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    columns = {"episode_index": pa.array([column] * 3), "timestamp": np.arange(3.0)}
-    columns["observation.state"] = np.zeros(3)
-    pq.write_table(pa.table(columns), tmp_path / "walks.parquet")
-    assert "column episode_index must hold numbers, got" in refusal_of(tmp_path / "walks.parquet")
-
-
-def test_lists_without_entries_are_refused(tmp_path: Path) -> None:
-    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    columns = {"episode_index": np.zeros(3), "timestamp": np.arange(3.0)}
-    columns["observation.state"] = pa.array([[], [], []], pa.list_(pa.float32()))
-    pq.write_table(pa.table(columns), tmp_path / "walks.parquet")
-    assert refusal_of(tmp_path / "walks.parquet").endswith("must hold entries, got none")
+    assert complaint in refusal_of(tmp_path / "walks.parquet")
 
 
 def test_line_is_short_whatever_a_file_puts_into_it(tmp_path: Path) -> None:

@@ -48,22 +48,19 @@ def test_servos_have_their_own_ranges_and_units() -> None:
     assert env.torque_limits.tolist() == [6.0, float("inf")]
 
 
-def test_servos_that_are_told_to_hold_the_robot_do() -> None:
-    """Whatever the order of the actuators is, which here is not that of the joints."""
+def test_servos_and_motors_that_are_to_hold_the_robot_do() -> None:
+    """Whatever the order of the actuators is, which of the arm is not that of the joints."""
     env = arm(SERVOS)
     held = env.holding_actions(env.initial_mean[None])[0]
     gravity = 9.81 * 0.15 * np.cos(0.5)  # of the rod, whose rotation is towards the floor
     torch.testing.assert_close(held[0].item(), 0.5 - gravity / 40, rtol=0.02, atol=0)
     torch.testing.assert_close(held[1].item(), 3 * 9.81 / 900, rtol=1e-6, atol=0)
-    after = env.rollout(20, lambda state: held)["next", "observation"]
-    torch.testing.assert_close(after, env.initial_mean.expand(20, 4), rtol=0, atol=1e-6)
-
-
-def test_motors_that_are_told_to_hold_the_robot_do() -> None:
-    env = DoublePendulumEnv(initial_mean=[0.3, 0.0, -0.2, 0.0], initial_std=[0.0] * 4)
-    held = env.holding_actions(env.initial_mean[None])[0]
-    after = env.rollout(1, lambda state: held)["next", "observation"][0]
-    torch.testing.assert_close(after, env.initial_mean, rtol=0, atol=1e-9)
+    motors = DoublePendulumEnv(initial_mean=[0.3, 0.0, -0.2, 0.0], initial_std=[0.0] * 4)
+    for each, steps, tolerance in ((env, 20, 1e-6), (motors, 1, 1e-9)):
+        held = each.holding_actions(each.initial_mean[None])[0]
+        after = each.rollout(steps, lambda state, held=held: held)["next", "observation"]
+        expected = each.initial_mean.expand(steps, 4)
+        torch.testing.assert_close(after, expected, rtol=0, atol=tolerance)
 
 
 def test_torques_that_a_motion_needs_are_in_the_order_of_the_actuators() -> None:
@@ -96,11 +93,10 @@ def test_torque_limit_is_that_of_the_motors_alone() -> None:
 
 
 def test_actuator_without_a_range_is_named() -> None:
-    with pytest.raises(
-        ValueError,
-        match="actuator elbow must have a ctrlrange, or inheritrange, that bounds its actions, got "
-        "none",
-    ):
+    line = (
+        "actuator elbow must have a ctrlrange, or inheritrange, that bounds its actions, got none"
+    )
+    with pytest.raises(ValueError, match=line):
         arm('<position name="elbow" joint="turn" kp="3"/><motor joint="lift" ctrlrange="-1 1"/>')
 
 

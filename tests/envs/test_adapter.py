@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
 from functools import partial
@@ -16,6 +15,8 @@ from torchrl.data import Bounded, Composite, OneHot, TensorSpec, Unbounded
 from torchrl.envs import EnvBase, GymEnv
 from torchrl.envs.utils import check_env_specs
 
+from tests.envs.driving import resumed, step
+from tests.helpers.draws import Draws
 from torch_pmil.envs import AdaptedEnv, CosSin
 from torch_pmil.envs.adapter import SEEDS
 
@@ -24,9 +25,7 @@ BOX = Bounded(-1.0, 3.0, (1,))
 
 
 class Wheel(EnvBase):
-    """A wheel that turns by its action; shows [cos, speed, sin] under ``"seen"`` and says after one
-    step that all is over.
-    """
+    """Turns by its action, shows [cos, speed, sin], and is done after one step."""
 
     def __init__(self, observation: TensorSpec | None = None, action: TensorSpec = BOX) -> None:
         super().__init__()
@@ -45,40 +44,36 @@ class Wheel(EnvBase):
     def _step(self, tensordict: TensorDict) -> TensorDict:
         self.heard.append(tensordict["motor"])
         self.angle = self.angle + tensordict["motor"]
-        return TensorDict(
-            {
-                "seen": self._seen(tensordict["motor"]),
-                "reward": torch.ones(1),
-                "done": torch.ones(1, dtype=torch.bool),
-            }
-        )
+        done = {"reward": torch.ones(1), "done": torch.ones(1, dtype=torch.bool)}
+        return TensorDict({"seen": self._seen(tensordict["motor"]), **done})
 
     def _seen(self, speed: Tensor) -> Tensor:
         return torch.cat([self.angle.cos(), speed, self.angle.sin()]).float()
 
 
+NAMES = {"observation": "seen", "action": "motor"}
+
+
 def adapted_wheel(make_env: Callable[..., EnvBase] = Wheel, **settings: object) -> AdaptedEnv:
-    return AdaptedEnv(
-        make_env, 0.1, **{"observation": "seen", "action": "motor", "seed": 0, **settings}
-    )
+    return AdaptedEnv(make_env, 0.1, **{**NAMES, "seed": 0, **settings})
+
+
+def adapted_cart(**settings: object) -> AdaptedEnv:
+    return AdaptedEnv(CART, 0.04, **{"seed": 0, **settings})
 
 
 def drive(env: AdaptedEnv, actions: Tensor) -> Tensor:
     """Observations (T + 1, D) under actions (T, F)."""
-    observations = [env.reset()["observation"]]
-    for action in actions:
-        observations.append(
-            env.step(TensorDict({"action": action}, env.batch_size))["next", "observation"]
-        )
-    return torch.stack(observations)
+    measured = [env.reset(), *(step(env, action) for action in actions)]
+    return torch.stack([each["observation"] for each in measured])
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
 @pytest.mark.parametrize(
     ("make_env", "settings"),
     [
-        (Wheel, {"observation": "seen", "action": "motor"}),
-        (Wheel, {"observation": "seen", "action": "motor", "angles": (CosSin(cos=0, sin=2),)}),
+        (Wheel, NAMES),
+        (Wheel, {**NAMES, "angles": (CosSin(cos=0, sin=2),)}),
         (CART, {}),
         (partial(GymEnv, "Pendulum-v1"), {"angles": (CosSin(cos=0, sin=1),)}),
     ],
@@ -91,16 +86,13 @@ def test_torchrl_accepts_what_becomes_of_an_environment(
     check_env_specs(env)
     rollout = env.rollout(4)
     assert rollout.batch_size == ((4,) if num_envs is None else (3, 4))
-    assert {rollout[key].dtype for key in ("observation", "action", ("next", "reward"))} == {
-        torch.float64
-    }
+    shown = (rollout[key] for key in ("observation", "action", ("next", "reward")))
+    assert {each.dtype for each in shown} == {torch.float64}
 
 
 def test_observations_are_those_of_gymnasium_itself() -> None:
-    actions = 0.3 * torch.rand(
-        20, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64
-    )
-    ours = drive(AdaptedEnv(CART, 0.04, seed=5), actions)
+    actions = Draws(1).uniform(0, 0.3, 20, 1)
+    ours = drive(adapted_cart(seed=5), actions)
     robot = gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.1)
     robot.reset(seed=int(torch.randint(SEEDS, (), generator=torch.Generator().manual_seed(5))))
     theirs = [robot.reset()[0]] + [robot.step(action.float().numpy())[0] for action in actions]
@@ -109,11 +101,8 @@ def test_observations_are_those_of_gymnasium_itself() -> None:
 
 def test_rollout_goes_on_when_the_task_says_that_it_is_over() -> None:
     assert adapted_wheel().rollout(10).batch_size == (10,)
-    rollout = AdaptedEnv(CART, 0.04, seed=0).rollout(60)
-    assert rollout.batch_size == (60,)
-    assert rollout["next", "observation"][-1, 1].abs() > 1, (
-        "the pole fell far beyond the 0.2 rad at which the task ends"
-    )
+    observations = adapted_cart().rollout(60)["next", "observation"]
+    assert len(observations) == 60 and observations[-1, 1].abs() > 1, "the task ends at 0.2 rad"
 
 
 def test_action_is_the_environments_own_and_is_clipped_to_its_range() -> None:
@@ -131,90 +120,68 @@ def test_angle_goes_on_through_whole_turns_from_where_it_is_said_to_be(near: flo
     speeds = torch.tensor([[3.0]] * 10 + [[-2.5]] * 15, dtype=torch.float64)
     seen = drive(env, speeds)
     assert (seen[0, 0] - near).abs() <= math.pi
-    torch.testing.assert_close(
-        seen[0, 0].cos(), (wheel.angle - speeds.sum()).cos()[0], rtol=0, atol=1e-6
-    )
+    first = (wheel.angle - speeds.sum()).cos()[0]
+    torch.testing.assert_close(seen[0, 0].cos(), first, rtol=0, atol=1e-6)
     torch.testing.assert_close(seen[1:, 0] - seen[0, 0], speeds.cumsum(0)[:, 0], rtol=0, atol=1e-6)
-    assert torch.equal(seen[1:, 1], speeds[:, 0]), (
-        "the entry that is no angle stays, and the sine is gone"
-    )
+    assert torch.equal(seen[1:, 1], speeds[:, 0]), "this entry is no angle, and the sine is gone"
 
 
-def test_same_seed_gives_the_same_rollouts_bit_for_bit_and_another_does_not() -> None:
+def test_rollouts_and_starts_depend_on_their_seed_alone() -> None:
     actions = torch.full((10, 1), 0.1, dtype=torch.float64)
-    first, again, other = (drive(AdaptedEnv(CART, 0.04, seed=seed), actions) for seed in (7, 7, 8))
-    assert torch.equal(first, again)
-    assert not torch.equal(first[0], other[0])
-
-
-def test_robots_of_a_batch_start_apart_and_each_start_differs() -> None:
-    env = AdaptedEnv(CART, 0.04, num_envs=4, seed=0)
+    rollouts = []
+    for seed, other in ((7, 0), (7, 1), (8, 0)):
+        torch.manual_seed(other)
+        before = torch.get_rng_state()
+        rollouts.append(drive(adapted_cart(seed=seed), actions))
+        assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(*rollouts[:2])
+    assert not torch.equal(rollouts[0][0], rollouts[2][0])
+    env = adapted_cart(num_envs=4)
     starts = torch.cat([env.reset()["observation"] for _ in range(3)])
     assert len(starts.unique(dim=0)) == 12
 
 
-def test_global_seed_neither_moves_the_starts_nor_is_moved() -> None:
-    starts = []
-    for seed in (0, 1):
-        torch.manual_seed(seed)
-        before = torch.get_rng_state()
-        starts.append(AdaptedEnv(CART, 0.04, seed=3).reset()["observation"])
-        assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(*starts)
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(batch: tuple[int, ...]) -> None:
+    env, again = (adapted_cart(num_envs=batch[0] if batch else None, seed=seed) for seed in (0, 1))
+    actions = torch.zeros(5, *batch, 1, dtype=torch.float64)
+    drive(env, actions)
+    resumed(env, again)
+    for _ in range(2):
+        assert torch.equal(drive(env, actions), drive(again, actions))
 
 
-@pytest.mark.parametrize("num_envs", [None, 2])
-def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None) -> None:
-    env, actions = (
-        AdaptedEnv(CART, 0.04, num_envs=num_envs, seed=0),
-        torch.zeros(5, *([] if num_envs is None else [num_envs]), 1),
-    )
-    drive(env, actions.double())
-    file = io.BytesIO()
-    torch.save(env.state_dict(), file)
-    expected = [drive(env, actions.double()) for _ in range(2)]
-    file.seek(0)
-    resumed = AdaptedEnv(CART, 0.04, num_envs=num_envs, seed=1)
-    resumed.load_state_dict(torch.load(file, weights_only=True))
-    assert all(torch.equal(drive(resumed, actions.double()), rollout) for rollout in expected)
+PICTURES = Bounded(0, 255, (8, 8, 3), dtype=torch.uint8)
+REAL = "must be a vector of real numbers, got"
+UNSUITABLE = [
+    (Wheel, {"action": "action"}, "must have action under 'action', got motor"),
+    (
+        partial(Wheel, PICTURES),
+        {},
+        rf"'seen' {REAL} Bounded\w* of torch.uint8 with shape \(8, 8, 3\)",
+    ),
+    (
+        partial(Wheel, Unbounded((2, 3))),
+        {},
+        rf"{REAL} Unbounded\w* of torch.float32 with shape \(2, 3\)",
+    ),
+    (
+        partial(Wheel, action=OneHot(4)),
+        {},
+        rf"'motor' {REAL} OneHot of torch.bool with shape \(4,\)",
+    ),
+    (partial(Wheel, action=Unbounded((1,))), {}, "'motor' must have finite limits, got Unbounded"),
+    (
+        partial(GymEnv, "CartPole-v1"),
+        {"observation": "observation", "action": "action"},
+        f"'action' {REAL}",
+    ),
+    (Wheel, {"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
+    (Wheel, {"angles": (CosSin(0, 3),)}, "angles must be of different entries of the 3 "),
+]
 
 
-@pytest.mark.parametrize(
-    ("make_env", "settings", "message"),
-    [
-        (Wheel, {"action": "action"}, r"must have action under 'action', got motor"),
-        (
-            partial(Wheel, Bounded(0, 255, (8, 8, 3), dtype=torch.uint8)),
-            {},
-            r"observation 'seen' must be a vector of real numbers, got Bounded\w* of torch.uint8 "
-            r"with shape \(8, 8, 3\)",
-        ),
-        (
-            partial(Wheel, Unbounded((2, 3))),
-            {},
-            r"must be a vector of real numbers, got Unbounded\w* of torch.float32 with shape "
-            r"\(2, 3\)",
-        ),
-        (
-            partial(Wheel, action=OneHot(4)),
-            {},
-            r"action 'motor' must be a vector of real numbers, got OneHot of torch.bool with "
-            r"shape \(4,\)",
-        ),
-        (
-            partial(Wheel, action=Unbounded((1,))),
-            {},
-            "action 'motor' must have finite limits, got Unbounded",
-        ),
-        (
-            partial(GymEnv, "CartPole-v1"),
-            {"observation": "observation", "action": "action"},
-            "action 'action' must be a vector of real",
-        ),
-        (Wheel, {"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
-        (Wheel, {"angles": (CosSin(0, 3),)}, "angles must be of different entries of the 3 "),
-    ],
-)
+@pytest.mark.parametrize(("make_env", "settings", "message"), UNSUITABLE)
 @pytest.mark.parametrize("num_envs", [None, 2])
 def test_unsuitable_environment_is_refused_in_one_line(
     make_env: Callable[..., EnvBase], settings: dict, message: str, num_envs: int | None
@@ -224,40 +191,31 @@ def test_unsuitable_environment_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_action_that_is_not_finite_is_refused(bad: float) -> None:
-    env = adapted_wheel()
-    env.reset()
-    with pytest.raises(ValueError, match="action must be finite, got"):
-        env.step(TensorDict({"action": torch.tensor([bad], dtype=torch.float64)}))
-
-
-def test_observation_that_is_not_finite_ends_the_rollout() -> None:
+def test_actions_and_observations_that_are_not_finite_are_refused() -> None:
     wheel = Wheel()
     env = adapted_wheel(lambda: wheel)
     env.reset()
+    for bad in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="action must be finite, got"):
+            step(env, torch.tensor([bad], dtype=torch.float64))
     wheel.angle = torch.tensor([math.nan])
     with pytest.raises(RuntimeError, match="the environment's observation must be finite, got"):
-        env.step(TensorDict({"action": torch.zeros(1, dtype=torch.float64)}))
+        step(env, torch.zeros(1, dtype=torch.float64))
 
 
 def test_robots_are_reset_together() -> None:
-    env = AdaptedEnv(CART, 0.04, num_envs=2, seed=0)
+    env = adapted_cart(num_envs=2)
     env.reset()
-    with pytest.raises(
-        ValueError, match="all robots must be reset together, got a mask with 1 of 2"
-    ):
+    line = "all robots must be reset together, got a mask with 1 of 2"
+    with pytest.raises(ValueError, match=line):
         env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
 
 
 def test_pictures_come_beside_the_observation() -> None:
-    env = AdaptedEnv(
-        partial(GymEnv, "Pendulum-v1", pixels_only=False), 0.05, from_pixels=True, seed=0
-    )
+    pendulum = partial(GymEnv, "Pendulum-v1", pixels_only=False)
+    env = AdaptedEnv(pendulum, 0.05, from_pixels=True, seed=0)
     check_env_specs(env)
     rollout = env.rollout(2)
-    assert (
-        rollout["next", "pixels"].shape == (2, 500, 500, 3)
-        and rollout["pixels"].dtype == torch.uint8
-    )
+    assert rollout["next", "pixels"].shape == (2, 500, 500, 3)
+    assert rollout["pixels"].dtype == torch.uint8
     assert rollout["observation"].shape == (2, 3)

@@ -1,20 +1,19 @@
-"""The BioRob's environment: what is hidden, what is measured beside the state, and the laws of an
-environment.
-"""
+"""The BioRob's environment: hidden motors, the hit, and the laws of an environment."""
 
 from __future__ import annotations
 
-import io
 import math
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
+from tests.envs.driving import physics, resumed, run, start_at, step
+from tests.helpers.draws import Draws
 from torch_pmil.envs import BioRobEnv
 from torch_pmil.envs.biorob import (
     JOINTS,
@@ -29,41 +28,28 @@ from torch_pmil.plotting.video import dense_states, render_rollout
 NOISE = (0.01, 0.0, 0.02, 0.1, 0.3, 0.1)  # rad, rad/s
 UNDER_THE_BALL = (0.1, 0.55, 1.35, 0.0, 0.0, 0.0)
 STRIKE = torch.tensor([[0.0, 20.0, 10.0]], dtype=torch.float64)
-FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
-
-
-def start_at(env: BioRobEnv, state: Tensor | tuple[float, ...]) -> TensorDictBase:
-    return env.reset(
-        TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size)
-    )
-
-
-def run(env: BioRobEnv, start: Tensor | tuple[float, ...], torques: Tensor) -> TensorDictBase:
-    """What is measured (T+1, *batch) under torques (T, *batch, 3)."""
-    measured = [start_at(env, start)]
-    for torque in torques:
-        measured.append(env.step(TensorDict({"action": torque}, env.batch_size))["next"])
-    return torch.stack([each.select("observation", "info") for each in measured])
 
 
 def random_torques(seed: int, *shape: int) -> Tensor:
-    return (
-        2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-        - 1
-    ) * torch.tensor([4.0, 10.0, 5.0])
+    return Draws(seed).uniform(-1, 1, *shape) * torch.tensor([4.0, 10.0, 5.0])
+
+
+def data_of(env: BioRobEnv) -> mujoco.MjData:
+    return physics(env.model, env.state_dict()["_physics"][0])
+
+
+def state_of(data: mujoco.MjData) -> list[float]:
+    joints = [data.joint(name) for name in JOINTS]
+    return [joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints]
 
 
 def step_by_step(
     state: tuple[float, ...], torques: Tensor
 ) -> tuple[list[float], list[float], Tensor]:
-    """Distances (m) and contacts at the start and after each time step, and the last state, from
-    MuJoCo's own stepping.
-    """
+    """Distances (m) and contacts at each of MuJoCo's own time steps, and the last state."""
     env = BioRobEnv(seed=0)
     start_at(env, state)
-    data = mujoco.MjData(env.model)
-    mujoco.mj_setState(env.model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
-    mujoco.mj_forward(env.model, data)
+    data = data_of(env)
     sensed = [data.sensordata.copy()]
     for torque in torques.repeat_interleave(100, 0):
         data.ctrl[:] = torque
@@ -74,12 +60,7 @@ def step_by_step(
         [values[env.model.sensor(name).adr[0]] for values in sensed]
         for name in ("racket_ball_distance", "racket_ball_contact")
     )
-    joints = [data.joint(name) for name in JOINTS]
-    return (
-        distances,
-        contacts,
-        torch.tensor([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints]),
-    )
+    return distances, contacts, torch.tensor(state_of(data))
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
@@ -90,26 +71,20 @@ def test_torchrl_accepts_the_environment(
     env = BioRobEnv(num_envs=num_envs, observation_std=noise, seed=0)
     check_env_specs(env)
     batch = () if num_envs is None else (num_envs,)
-    rollout = env.rollout(3)
-    assert rollout["next", "info", "racket_ball_distance"].shape == (*batch, 3, 1)
-    assert (
-        rollout["next", "info", "racket_ball_distance"].dtype == torch.float64
-        and rollout["next", "info", "hit"].dtype == torch.bool
-    )
-    assert env.action_spec.space.high.expand(*batch, 3).reshape(-1, 3)[0].tolist() == list(
-        TORQUE_LIMIT
-    )
+    info = env.rollout(3)["next", "info"]
+    assert info["racket_ball_distance"].shape == (*batch, 3, 1)
+    assert info["racket_ball_distance"].dtype == torch.float64 and info["hit"].dtype == torch.bool
+    limits = env.action_spec.space.high.expand(*batch, 3).reshape(-1, 3)
+    assert limits[0].tolist() == list(TORQUE_LIMIT)
 
 
-def test_state_has_positions_first() -> None:
-    state = (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
-    env = BioRobEnv(seed=0)
-    assert start_at(env, state)["observation"].tolist() == list(state)
-    model, data = env.model, mujoco.MjData(env.model)
-    mujoco.mj_setState(model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
-    assert [data.joint(name).qpos[0] for name in JOINTS] + [
-        data.joint(name).qvel[0] for name in JOINTS
-    ] == list(state)
+def test_state_has_positions_first_and_motors_move_with_the_joints_at_a_reset() -> None:
+    env, state = BioRobEnv(seed=0), [*START[:3], 1.0, 2.0, 3.0]
+    assert start_at(env, state)["observation"].tolist() == state
+    data = data_of(env)
+    assert state_of(data) == state
+    assert np.allclose(data.ten_velocity[:6], 0, atol=1e-12), "no cable changes its length"
+    assert [data.joint(name).qvel[0] for name in ROTORS] == pytest.approx([1.0, 2.0, 4.0])
 
 
 @pytest.mark.parametrize("pose", [START[:3], (0.1, 0.72, 1.5), (-0.5, -0.4, 0.3), (0.6, 1.5, 2.0)])
@@ -119,27 +94,15 @@ def test_reset_is_in_equilibrium_with_the_torques_that_hold_it(pose: tuple[float
     assert (states - states[0]).abs().max() < 1e-6
 
 
-def test_motors_move_with_the_joints_at_a_reset() -> None:
-    env = BioRobEnv(seed=0)
-    start_at(env, (*START[:3], 1.0, 2.0, 3.0))
-    data = mujoco.MjData(env.model)
-    mujoco.mj_setState(env.model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
-    mujoco.mj_forward(env.model, data)
-    assert np.allclose(data.ten_velocity[:6], 0, atol=1e-12), "no cable changes its length"
-    assert [data.joint(name).qvel[0] for name in ROTORS] == pytest.approx([1.0, 2.0, 4.0])
-
-
 def test_distance_is_the_least_over_all_time_steps_and_hit_stays() -> None:
     torques = torch.cat([STRIKE.expand(3, 3), torch.zeros(4, 3, dtype=torch.float64)])
     measured = run(BioRobEnv(seed=0), UNDER_THE_BALL, torques)
     distances, contacts, last = step_by_step(UNDER_THE_BALL, torques)
     torch.testing.assert_close(measured["observation"][-1], last, rtol=0, atol=1e-6)
-    least = (
-        torch.tensor(distances, dtype=torch.float64).unfold(0, 101, 100).amin(-1)
-    )  # both ends of a period belong to it
-    torch.testing.assert_close(
-        measured["info", "racket_ball_distance"][1:, 0], least, rtol=0, atol=1e-6
-    )
+    # both ends of a period belong to it
+    least = torch.tensor(distances, dtype=torch.float64).unfold(0, 101, 100).amin(-1)
+    measured_distances = measured["info", "racket_ball_distance"][1:, 0]
+    torch.testing.assert_close(measured_distances, least, rtol=0, atol=1e-6)
     hits = (torch.tensor(contacts).unfold(0, 101, 100) > 0).any(-1).cummax(0).values
     assert torch.equal(measured["info", "hit"][1:, 0], hits)
     assert not hits[0] and hits[-1] and distances[-1] > 0.1, "it was touched, and is away again"
@@ -152,23 +115,18 @@ def test_step_that_only_passes_the_ball_says_how_near_it_came() -> None:
     ends = measured["info", "racket_ball_distance"]
     assert not measured["info", "hit"].any() and ends.min() > 0
     states = env.replay(torch.tensor(UNDER_THE_BALL, dtype=torch.float64), STRIKE.expand(4, 3), 1)
-    now = torch.stack([_distance(env, physics) for physics in states])
-    assert ends[0, 0] == now[0] and (ends[1:, 0] <= torch.minimum(now[1:], now[:-1]) + 1e-12).all()
-    assert (ends[1:, 0] < torch.minimum(now[1:], now[:-1]) - 1e-4).any()
-
-
-def _distance(env: BioRobEnv, physics: Tensor) -> Tensor:
-    data = mujoco.MjData(env.model)
-    mujoco.mj_setState(env.model, data, physics.numpy(), FULL_PHYSICS)
-    mujoco.mj_forward(env.model, data)
-    return torch.tensor(data.sensor("racket_ball_distance").data[0], dtype=torch.float64)
+    now = torch.tensor(
+        [physics(env.model, each).sensor("racket_ball_distance").data[0] for each in states]
+    )
+    nearer_end = torch.minimum(now[1:], now[:-1])
+    assert ends[0, 0] == now[0] and (ends[1:, 0] <= nearer_end + 1e-12).all()
+    assert (ends[1:, 0] < nearer_end - 1e-4).any()
 
 
 def test_hit_ends_nothing_and_is_forgotten_at_a_reset() -> None:
     env = BioRobEnv(seed=0)
-    start_at(env, UNDER_THE_BALL)
-    for _ in range(5):
-        after = env.step(TensorDict({"action": STRIKE[0]}))["next"]
+    run(env, UNDER_THE_BALL, STRIKE.expand(4, 3))
+    after = step(env, STRIKE[0])
     assert after["info", "hit"] and not after["done"]
     assert not env.reset()["info", "hit"]
 
@@ -176,33 +134,30 @@ def test_hit_ends_nothing_and_is_forgotten_at_a_reset() -> None:
 def test_partial_reset_forgets_the_hits_of_the_masked_robots_only() -> None:
     env = BioRobEnv(num_envs=2, seed=0)
     start = torch.tensor([UNDER_THE_BALL] * 2, dtype=torch.float64)
-    after = run(env, start, STRIKE.expand(5, 2, 3))[-1]
-    assert after["info", "hit"].all()
+    assert run(env, start, STRIKE.expand(5, 2, 3))[-1]["info", "hit"].all()
     mask = torch.tensor([[True], [False]])
     env.reset(TensorDict({"_reset": mask, "observation": start}, [2]))
-    after = env.step(TensorDict({"action": torch.zeros(2, 3, dtype=torch.float64)}, [2]))["next"]
+    after = step(env, torch.zeros(2, 3, dtype=torch.float64))
     assert after["info", "hit"].flatten().tolist() == [False, True]
 
 
 @pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
-def test_holding_torques_keep_the_batch(batch: tuple[int, ...]) -> None:
-    poses = torch.tensor(START[:3], dtype=torch.float64).expand(*batch, 3)
-    torques = holding_torques(poses)
-    assert torques.shape == poses.shape and torques.dtype == torch.float64
-    assert (torques == torques.reshape(-1, 3)[0]).all()
-
-
-def test_holding_torques_do_the_work_against_gravity() -> None:
+def test_holding_torques_keep_the_batch_and_do_the_work_against_gravity(
+    batch: tuple[int, ...],
+) -> None:
     """Virtual work: motors that turn as the cables demand do what lifts the arm, tau·dr = dV."""
-    poses = torch.tensor([START[:3]], dtype=torch.float64)
-    step, ratio = 1e-4, torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
+    pose = torch.tensor(START[:3], dtype=torch.float64)
+    torques = holding_torques(pose.expand(*batch, 3))
+    assert torques.shape == (*batch, 3) and torques.dtype == torch.float64
+    assert (torques == torques.reshape(-1, 3)[0]).all()
+    ratio = torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
     slopes = [
-        (_height_energy(poses[0] + e) - _height_energy(poses[0] - e)) / (2 * step)
-        for e in step * torch.eye(3, dtype=torch.float64)
+        (_height_energy(pose + e) - _height_energy(pose - e)) / 2e-4
+        for e in 1e-4 * torch.eye(3, dtype=torch.float64)
     ]
-    torch.testing.assert_close(
-        holding_torques(poses)[0] @ ratio, torch.stack(slopes), rtol=0, atol=0.05
-    )  # cables and wrist give a little
+    # cables and wrist give a little
+    work = torques.reshape(-1, 3)[0] @ ratio
+    torch.testing.assert_close(work, torch.stack(slopes), rtol=0, atol=0.05)
 
 
 def _height_energy(pose: Tensor) -> Tensor:
@@ -235,10 +190,8 @@ class PhysicsAsPictures(BioRobEnv):
 
 
 def test_film_shows_the_motion_of_the_rollout_and_the_flight_of_the_ball() -> None:
-    env, torques = (
-        PhysicsAsPictures(seed=0),
-        torch.cat([STRIKE.expand(4, 3), random_torques(4, 4, 3)]),
-    )
+    env = PhysicsAsPictures(seed=0)
+    torques = torch.cat([STRIKE.expand(4, 3), random_torques(4, 4, 3)])
     run(env, UNDER_THE_BALL, torques)
     pictures = list(render_rollout(env, torch.tensor(UNDER_THE_BALL, dtype=torch.float64), torques))
     assert len(pictures) == 41
@@ -249,20 +202,13 @@ def test_film_shows_the_motion_of_the_rollout_and_the_flight_of_the_ball() -> No
 
 @pytest.mark.parametrize("noise", [None, NOISE])
 def test_checkpoint_resumes_motion_hit_starts_and_noise(noise: tuple[float, ...] | None) -> None:
-    env, strike = BioRobEnv(observation_std=noise, seed=0), TensorDict({"action": STRIKE[0]})
-    start_at(env, UNDER_THE_BALL)
-    for _ in range(5):
-        env.step(strike.clone())
-    file = io.BytesIO()
-    torch.save(env.state_dict(), file)
-    expected = env.step(strike.clone())["next"], env.reset()
-    file.seek(0)
-    resumed = BioRobEnv(observation_std=noise, seed=1)
-    resumed.load_state_dict(torch.load(file, weights_only=True))
-    following = resumed.step(strike.clone())["next"]
-    assert torch.equal(following["observation"], expected[0]["observation"])
-    assert following["info", "hit"] and (following["info"] == expected[0]["info"]).all()
-    assert torch.equal(resumed.reset()["observation"], expected[1]["observation"])
+    env = BioRobEnv(observation_std=noise, seed=0)
+    run(env, UNDER_THE_BALL, STRIKE.expand(5, 3))
+    again = resumed(env, BioRobEnv(observation_std=noise, seed=1))
+    after, following = step(env, STRIKE[0]), step(again, STRIKE[0])
+    assert torch.equal(following["observation"], after["observation"])
+    assert following["info", "hit"] and (following["info"] == after["info"]).all()
+    assert torch.equal(again.reset()["observation"], env.reset()["observation"])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
-"""The physics of the BioRob's model: elastic drives, slack, stiction, ringing, the racket and the
-ball. ``-s`` prints what was measured.
-"""
+"""The physics of the BioRob's model, its racket and the ball. ``-s`` prints what was measured."""
 
 from __future__ import annotations
 
@@ -14,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from tests.envs.driving import physics
 from torch_pmil.envs.biorob import BALL, HELD, JOINTS, ROTORS, START, BioRobEnv, biorob_model
 from torch_pmil.envs.equilibrium import Equilibrium
 
@@ -22,10 +21,9 @@ Array = NDArray[np.float64]
 FAR = (3.0, 3.0, 1.0)  # where the ball is out of the way
 LIFTED = (0.0, 0.6, 1.0)
 FRICTION = (0.8, 1.5, 0.8)  # N·m
-FREQUENCIES = np.array(
-    [(2.9, 4.1), (3.1, 6.2), (6.4, 11.7)]
-)  # Hz, of a prototype with these estimates, to their last digit
-FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+# Hz, of a prototype with these estimates, to their last digit
+FREQUENCIES = np.array([(2.9, 4.1), (3.1, 6.2), (6.4, 11.7)])
+each_joint = pytest.mark.parametrize("joint", [0, 1, 2])
 
 
 @dataclass
@@ -54,30 +52,30 @@ class Arm:
         return torques[0]
 
     def swing(self, seconds: float, extra: Callable[[float], Array] | None = None) -> Array:
-        """Angles (n, 2, 3) of joints and rotors at each time step, under torques ``extra`` (3,) of
-        time beside those of now.
-        """
+        """Angles (n, 2, 3) of joints and rotors under the torques of now and ``extra`` (3,)."""
         torques, angles = self.data.ctrl.copy(), []
         for step in range(round(seconds / self.model.opt.timestep)):
             if extra is not None:
                 self.data.ctrl[:] = torques + extra(step * self.model.opt.timestep)
             mujoco.mj_step(self.model, self.data)
-            angles.append(
-                [self.data.qpos[self.joints], self.data.qpos[self.rotors]]
-            )  # all hinges: their places are their dofs
+            # all hinges: their places are their dofs
+            angles.append([self.data.qpos[self.joints], self.data.qpos[self.rotors]])
         return np.array(angles)
 
+    def racket_speed(self, speed: float) -> None:
+        """Turn the joints so that the racket moves along its normal, in m/s."""
+        racket, jacobian = self.data.site("racket"), np.empty((3, self.model.nv))
+        mujoco.mj_jacSite(self.model, self.data, jacobian, None, racket.id)
+        velocity = speed * racket.xmat.reshape(3, 3)[:, 0]
+        self.data.qvel[self.joints] = np.linalg.pinv(jacobian[:, self.joints]) @ velocity
+
     def modes(self, pose: Sequence[float]) -> tuple[Array, Array]:
-        """Eigenfrequencies (3,) in Hz and modes (3, 3) of the joints while the rotors stand still,
-        undamped.
-        """
+        """Undamped eigenfrequencies (3,) in Hz and modes (3, 3) of joints with still rotors."""
         self.rest(pose)
         stiffness, inertia = np.empty((2, self.model.nv, self.model.nv))
         self.data.qacc[:] = 0
         mujoco.mj_inverse(self.model, self.data)
-        mujoco.mjd_inverseFD(
-            self.model, self.data, 1e-7, False, stiffness, None, None, None, None, None, None
-        )
+        mujoco.mjd_inverseFD(self.model, self.data, 1e-7, False, stiffness, *[None] * 6)
         mujoco.mj_fullM(self.model, self.data, inertia)
         K, M = (matrix[np.ix_(self.joints, self.joints)] for matrix in (stiffness, inertia))
         squares, modes = eigh((K + K.T) / 2, M)
@@ -111,9 +109,8 @@ def test_joints_ring_with_locked_motors_in_the_range_of_the_prototype(
 ) -> None:
     frequencies, _ = Arm().modes(pose)
     print("eigenfrequencies (Hz) at", pose, frequencies.round(2))
-    assert (frequencies > FREQUENCIES[:, 0] - 0.1).all() and (
-        frequencies < FREQUENCIES[:, 1] + 0.1
-    ).all()
+    assert (frequencies > FREQUENCIES[:, 0] - 0.1).all()
+    assert (frequencies < FREQUENCIES[:, 1] + 0.1).all()
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
@@ -125,16 +122,14 @@ def test_simulated_free_response_has_the_frequency_of_the_linearisation(mode: in
     arm.rest(LIFTED)
     arm.data.qvel[arm.joints] = 0.3 * modes[:, mode] / np.abs(modes[:, mode]).max()
     angles = arm.swing(4.0)[:, 0] @ np.linalg.inv(modes).T  # of the modes
-    spectrum = np.abs(
-        np.fft.rfft((angles[:, mode] - angles[:, mode].mean()) * np.hanning(len(angles)), 2**17)
-    )
+    centred = (angles[:, mode] - angles[:, mode].mean()) * np.hanning(len(angles))
+    spectrum = np.abs(np.fft.rfft(centred, 2**17))
     peak = np.fft.rfftfreq(2**17, arm.model.opt.timestep)[spectrum.argmax()]
-    assert peak == pytest.approx(
-        frequencies[mode], rel=0.06
-    )  # the wrist's springs give way a little
+    # the wrist's springs give way a little
+    assert peak == pytest.approx(frequencies[mode], rel=0.06)
 
 
-@pytest.mark.parametrize("joint", [0, 1, 2])
+@each_joint
 def test_kick_moves_a_joint_many_times_more_than_its_motor(joint: int) -> None:
     arm = Arm()
     arm.rest(LIFTED)
@@ -145,7 +140,7 @@ def test_kick_moves_a_joint_many_times_more_than_its_motor(joint: int) -> None:
     assert moved[0] > 0.1 and moved[0] > 10 * moved[1]
 
 
-@pytest.mark.parametrize("joint", [0, 1, 2])
+@each_joint
 def test_slack_cable_halves_the_stiffness_and_no_cable_pushes(joint: int) -> None:
     arm = Arm()
     arm.model.jnt_stiffness[:] = 0
@@ -158,9 +153,8 @@ def test_slack_cable_halves_the_stiffness_and_no_cable_pushes(joint: int) -> Non
         arm.model.tendon_stiffness[np.arange(arm.model.ntendon) != cable] = 0
         pulls.append(np.array([_spring(arm, joint, offset) for offset in offsets]))
         arm.model.tendon_stiffness[:] = stiffness
-    assert (pulls[0] <= 0).all() and (pulls[1] >= 0).all(), (
-        "lifting cable's pull back on its rotor, lowering cable's forwards"
-    )
+    assert (pulls[0] <= 0).all(), "the lifting cable pulls back on its rotor"
+    assert (pulls[1] >= 0).all(), "the lowering cable pulls forwards"
     stiffness = -np.gradient(sum(pulls), offsets)
     taut, slack = stiffness[200], stiffness[[5, -5]]
     print(f"{JOINTS[joint]}: {taut:.0f} N·m/rad with both cables, {slack[0]:.0f} with one")
@@ -185,14 +179,11 @@ def test_abrupt_torque_rings_and_a_smooth_one_of_the_same_size_does_not(
         arm.rest(LIFTED)
         angles = arm.swing(2.0, torque)
         rings.append(ringing((angles[:, 0] @ arm.equilibrium.ratio.T - angles[:, 1])[:, joint]))
-    print(
-        f"{size} N·m on {JOINTS[joint]}: rings by {rings[0]:.2f} deg, smoothly applied "
-        f"{rings[1]:.2f} deg"
-    )
+    print(f"{size} N·m on {JOINTS[joint]} ring by {rings[0]:.2f} deg, smooth {rings[1]:.2f} deg")
     assert rings[0] > 0.5 and rings[1] < 0.25 and rings[0] > 4 * rings[1]
 
 
-@pytest.mark.parametrize("joint", [0, 1, 2])
+@each_joint
 def test_stiction_holds_the_arm_against_small_torques_and_yields_to_larger_ones(joint: int) -> None:
     moved = []
     for fraction in (0.9, 1.3):
@@ -200,10 +191,7 @@ def test_stiction_holds_the_arm_against_small_torques_and_yields_to_larger_ones(
         arm.rest(LIFTED)
         angles = arm.swing(2.0, lambda _, size=fraction * FRICTION[joint]: size * np.eye(3)[joint])
         moved.append(np.rad2deg(np.abs(angles[-1] - angles[0]))[1, joint])
-    print(
-        f"{ROTORS[joint]}: {moved[0]:.3f} deg in 2 s under 0.9 of the friction, {moved[1]:.1f} deg "
-        "under 1.3"
-    )
+    print(f"{ROTORS[joint]}: {moved} deg in 2 s under 0.9 and 1.3 of the friction")
     assert moved[0] < 0.15 and moved[1] > 5
 
 
@@ -211,28 +199,20 @@ def test_full_torques_swing_the_racket_as_fast_as_the_robot_was_measured() -> No
     env = BioRobEnv(FAR, seed=0)
     start = torch.tensor([0.0, -0.5, 0.3, 0.0, 0.0, 0.0], dtype=torch.float64)
     motion = env.replay(start, torch.tensor([[5.0, 20.0, 10.0]] * 5, dtype=torch.float64), 50)
-    data, speeds = mujoco.MjData(env.model), []
-    for physics in motion:
-        mujoco.mj_setState(env.model, data, physics.numpy(), FULL_PHYSICS)
-        mujoco.mj_forward(env.model, data)
-        speeds.append(np.linalg.norm(data.sensor("racket_velocity").data))
+    velocities = [physics(env.model, state).sensor("racket_velocity").data for state in motion]
+    speeds = np.linalg.norm(velocities, axis=-1)
     print(f"top speed of a plain swing: {max(speeds):.2f} m/s")
     assert 6.5 < max(speeds) < 7.6
 
 
 def test_drag_of_the_racket_is_felt_at_speed() -> None:
-    """A flat plate across the stream: F = rho·C·A·v² in MuJoCo's ellipsoid model, with A the
-    blade's area.
-    """
+    """A plate across the stream: F = rho·C·A·v² in MuJoCo's ellipsoid model, A of the blade."""
     arm = Arm()
     arm.rest(LIFTED)
     forces = []
     for speed in (3.5, 7.0):
-        jacobian = np.empty((3, arm.model.nv))
-        mujoco.mj_jacSite(arm.model, arm.data, jacobian, None, arm.model.site("racket").id)
-        normal = arm.data.site("racket").xmat.reshape(3, 3)[:, 0]
         arm.data.qvel[:] = 0
-        arm.data.qvel[arm.joints] = np.linalg.pinv(jacobian[:, arm.joints]) @ (speed * normal)
+        arm.racket_speed(speed)
         mujoco.mj_forward(arm.model, arm.data)
         power = -arm.data.qfrc_fluid @ arm.data.qvel
         forces.append(power / speed)
@@ -252,25 +232,17 @@ def test_ball_is_hit_and_never_passed_through(speed: float, offset: tuple[float,
     axes = racket.xmat.reshape(3, 3)
     arm = Arm(racket.xpos + axes @ [0.006 + 0.02 + 0.01, *offset])  # 1 cm ahead of the blade
     arm.rest(pose)
-    jacobian = np.empty((3, arm.model.nv))
-    mujoco.mj_jacSite(arm.model, arm.data, jacobian, None, racket.id)
-    arm.data.qvel[arm.joints] = np.linalg.pinv(jacobian[:, arm.joints]) @ (speed * axes[:, 0])
+    arm.racket_speed(speed)
     arm.data.qvel[arm.rotors] = arm.equilibrium.ratio @ arm.data.qvel[arm.joints]
-    touched, normal, deepest = False, [], 0.0
+    racket, touched, normal, deepest = arm.data.site("racket"), False, [], 0.0
     for _ in range(60):
         mujoco.mj_step(arm.model, arm.data)
         touched |= arm.data.sensor("racket_ball_contact").data[0] > 0
         deepest = min(deepest, arm.data.sensor("racket_ball_distance").data[0])
-        place = arm.data.site("racket").xmat.reshape(3, 3).T @ (
-            arm.data.body("ball").xpos - arm.data.site("racket").xpos
-        )
-        normal.append(place[0])
+        normal.append(racket.xmat.reshape(3, 3)[:, 0] @ (arm.data.body("ball").xpos - racket.xpos))
     flight = np.linalg.norm(arm.data.joint("ball").qvel[:3])
     if offset == (0.0, 0.0):
-        print(
-            f"racket at {speed} m/s: the ball leaves at {flight:.1f} m/s, sank in by "
-            f"{-1000 * deepest:.1f} mm"
-        )
+        print(f"at {speed} m/s: ball {flight:.1f} m/s, sank in by {-1000 * deepest:.1f} mm")
     assert touched and min(normal) > 0 and normal[-1] > 0.026 and flight > 0.9 * speed
 
 
@@ -286,9 +258,9 @@ def test_energy_never_grows_without_torque(ball: tuple[float, ...]) -> None:
         for _ in range(1500):
             mujoco.mj_step(arm.model, arm.data)
             energies.append(arm.data.energy.sum())
-        assert (energies - np.minimum.accumulate(energies)).max() < (
-            1e-9 if ball == FAR else 5e-2
-        )  # J; the contact stores some for a moment
+        growth = energies - np.minimum.accumulate(energies)
+        # J; the contact stores some for a moment
+        assert growth.max() < (1e-9 if ball == FAR else 5e-2)
         assert max(energies) == energies[0] and energies[0] - energies[-1] > 1
 
 
@@ -300,11 +272,8 @@ def test_motion_hardly_depends_on_the_time_step(seed: int) -> None:
         arm = Arm()
         arm.model.opt.timestep /= 2**halves
         arm.rest(START[:3])
-        courses.append(
-            arm.swing(1.8, lambda time: torques[int(time / 0.1 + 1e-6)])[
-                2**halves - 1 :: 2**halves, 0
-            ]
-        )
+        angles = arm.swing(1.8, lambda time: torques[int(time / 0.1 + 1e-6)])
+        courses.append(angles[2**halves - 1 :: 2**halves, 0])
     error = np.rad2deg(np.abs(courses[1] - courses[0]).max())
     print(f"time step halved: {error:.3f} deg in 1.8 s")
     assert error < 0.15
@@ -321,9 +290,8 @@ def test_arm_stays_in_every_pose_that_its_torques_hold() -> None:
 
 def test_rotors_turn_with_the_joints_over_the_shoulder_pulley() -> None:
     """The elbow's cables are wound on by half of the shoulder's angle."""
-    np.testing.assert_allclose(
-        Arm().equilibrium.ratio, [[1, 0, 0], [0, 1, 0], [0, 0.5, 1]], atol=1e-12
-    )
+    expected = [[1, 0, 0], [0, 1, 0], [0, 0.5, 1]]
+    np.testing.assert_allclose(Arm().equilibrium.ratio, expected, atol=1e-12)
 
 
 def test_keyframe_is_the_start_in_equilibrium() -> None:

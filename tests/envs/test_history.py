@@ -1,6 +1,8 @@
-"""A state that holds the past, of which the known part of the dynamics says the same."""
+"""A state that holds the past, as the known part of the dynamics has it."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import pytest
 import torch
@@ -17,11 +19,6 @@ from torch_pmil.envs.rollouts import states_of
 NAMES, ACTIONS, PERIOD = ("q1", "dq1", "q2", "dq2"), ("tau1", "tau2"), 0.1
 POSITIONS = History(NAMES, ACTIONS, PERIOD, hidden=("dq1", "dq2"), past_actions=2)
 MUCH = History(NAMES, ACTIONS, PERIOD, past=("dq1", "dq2"), past_entries=2, past_actions=1)
-SHOWN = [0, 1, 2, 3]
-
-
-def known_part(history: History) -> KnownPart:
-    return KnownPart.of_readings(history.shift, history.gain, history.measured)
 
 
 def resting(states: Tensor) -> Tensor:
@@ -32,17 +29,16 @@ def make_env(history: History, **settings: object) -> HistoryEnv:
     return HistoryEnv(DoublePendulumEnv, history, resting, **settings)
 
 
-def rolled_out(history: History, steps: int = 6, **settings: object) -> TensorDictBase:
+def rolled_out(history: History, **settings: object) -> TensorDictBase:
     env = make_env(history, seed=3, **settings)
-    draws = Draws(0)
-
-    def policy(tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict.set("action", draws.uniform(-5.0, 5.0, *env.action_spec.shape))
-
-    return env.rollout(steps, policy)
+    draw = partial(Draws(0).uniform, -5.0, 5.0, *env.action_spec.shape)
+    return env.rollout(6, lambda tensordict: tensordict.set("action", draw()))
 
 
-@pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
+each_history = pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
+
+
+@each_history
 @pytest.mark.parametrize("num_envs", [None, 3])
 def test_torchrl_accepts_the_environment(history: History, num_envs: int | None) -> None:
     torch.manual_seed(0)
@@ -73,12 +69,13 @@ def test_robot_moves_as_without_a_history() -> None:
     env.reset()
     for step in with_history:
         shown = env.step(TensorDict({"action": step["action"]}))["next", "observation"]
-        assert torch.equal(shown, step["next", "observation"][SHOWN])
+        assert torch.equal(shown, step["next", "observation"][:4])
 
 
-@pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
+@each_history
 def test_known_part_says_what_the_environment_does(history: History) -> None:
-    rollout, known = rolled_out(history), known_part(history)
+    rollout = rolled_out(history)
+    known = KnownPart.of_readings(history.shift, history.gain, history.measured)
     x, after = rollout["observation"], rollout["next", "observation"]
     taken = rollout["action"].clamp(-3.5, 3.5)
     outputs = known.targets(x, taken, after)

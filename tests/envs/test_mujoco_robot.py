@@ -49,19 +49,15 @@ def xml(tmp_path: Path) -> Path:
     return path
 
 
-def test_state_is_named_by_the_joints_and_servos_by_what_they_move(xml: Path) -> None:
+def test_state_and_actions_are_named_by_the_joints_in_their_units(xml: Path) -> None:
     robot = MujocoRobot(xml, JOINTS, rate=20)
     assert robot.names == ("shoulder", "elbow", "dshoulder", "delbow")
     assert robot.units == ("rad", "rad", "rad/s", "rad/s")
     assert robot.turning == ("shoulder",)
     assert robot().action_names == ("shoulder", "elbow", "gripper")
     assert robot().action_units == ("rad", "rad", "N")
-
-
-def test_slides_are_measured_in_metres(xml: Path) -> None:
-    robot = MujocoRobot(xml, ("elbow", "grip"), rate=20)
-    assert robot.units == ("rad", "m", "rad/s", "m/s")
-    assert robot.turning == ()
+    slide = MujocoRobot(xml, ("elbow", "grip"), rate=20)
+    assert slide.units == ("rad", "m", "rad/s", "m/s") and slide.turning == ()
 
 
 def test_only_the_chosen_actuators_are_actions_in_their_ranges(xml: Path) -> None:
@@ -126,28 +122,29 @@ def test_picture_shows_the_robot_though_its_file_has_no_camera(xml: Path) -> Non
     assert top > 0 and bottom < 479 and left > 0 and right < 639
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "message"),
-    [
-        ({"joints": ("wrist",)}, ValueError, "joints must be hinges and slides among shoulder"),
-        ({"joints": ()}, ValueError, "got none"),
-        ({"actions": ["servo9"]}, ValueError, "actions must be actuators among servo1, servo2"),
-        ({"rate": 0.0}, ValueError, "rate must be positive and finite, in Hz, got 0"),
-        ({"rate": 30.0}, ValueError, "control_period must be a whole number of 0.001 s"),
-        ({"start": [0.0]}, ValueError, "start must be 2 positions"),
-        ({"start_std": [0.1, 0.1]}, ValueError, "initial_std must be 4 finite numbers"),
-        ({"xml": 3}, TypeError, "xml must be a path or an MjSpec, got int"),
-        ({"xml": "nowhere.xml"}, FileNotFoundError, "nowhere.xml"),
-    ],
-)
+REFUSED = [
+    ({"joints": ("wrist",)}, ValueError, "joints must be hinges and slides among shoulder"),
+    ({"joints": ()}, ValueError, "got none"),
+    ({"actions": ["servo9"]}, ValueError, "actions must be actuators among servo1, servo2"),
+    ({"rate": 0.0}, ValueError, "rate must be positive and finite, in Hz, got 0"),
+    ({"rate": 30.0}, ValueError, "control_period must be a whole number of 0.001 s"),
+    ({"start": [0.0]}, ValueError, "start must be 2 positions"),
+    ({"start_std": [0.1, 0.1]}, ValueError, "initial_std must be 4 finite numbers"),
+    ({"xml": 3}, TypeError, "xml must be a path or an MjSpec, got int"),
+    ({"xml": "nowhere.xml"}, FileNotFoundError, "nowhere.xml"),
+    ({"xml": "broken.xml"}, ValueError, "must be a model that MuJoCo reads"),
+]
+
+
+@pytest.mark.parametrize(("changes", "error", "message"), REFUSED)
 def test_what_does_not_fit_is_refused(
-    xml: Path, changes: dict, error: type[Exception], message: str
+    xml: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict,
+    error: type[Exception],
+    message: str,
 ) -> None:
+    monkeypatch.chdir(xml.parent)
+    Path("broken.xml").write_text("<mujoco><worldbody>")
     with pytest.raises(error, match=message):
         MujocoRobot(**({"xml": xml, "joints": JOINTS} | changes))
-
-
-def test_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
-    with pytest.raises(ValueError, match="must be a model that MuJoCo reads"):
-        MujocoRobot(tmp_path / "broken.xml", JOINTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import nullcontext
 
 import pytest
 
@@ -28,10 +29,7 @@ def test_enter_runs_d_discards_and_q_or_the_end_of_the_input_ends(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
-    if end is None:
+    with pytest.raises(end) if end else nullcontext():
         prompt()
-    else:
-        with pytest.raises(end):
-            prompt()
     asked = typed.count("\n") + (not typed.endswith("q\n") and end is RunStopped)
     assert capsys.readouterr().out == asked * QUESTION

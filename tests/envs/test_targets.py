@@ -1,21 +1,15 @@
-"""What each robot is to do is shown with every observation, and each robot has the ball that it is
-to hit.
-"""
+"""Every observation shows the robot's target, and each robot has the ball that it is to hit."""
 
 from __future__ import annotations
-
-import io
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
+from tests.envs.driving import drawn, resumed, run, step
+from tests.helpers.draws import Draws
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.biorob import BALL, biorob_model
 
@@ -27,21 +21,7 @@ each_robot = pytest.mark.parametrize("robot", [BioRobEnv, DoublePendulumEnv])
 
 
 def torques(env: MujocoRobotEnv, steps: int) -> Tensor:
-    draw = torch.rand(
-        steps,
-        *env.action_spec.shape,
-        generator=torch.Generator().manual_seed(0),
-        dtype=torch.float64,
-    )
-    return env.action_spec.space.high * (draw - 0.5)
-
-
-def run(env: MujocoRobotEnv, start: Tensor, actions: Tensor) -> TensorDict:
-    """What is measured (T+1, *batch) under torques (T, *batch, F)."""
-    measured = [env.reset(TensorDict({"observation": start}, env.batch_size))]
-    for action in actions:
-        measured.append(env.step(TensorDict({"action": action}, env.batch_size))["next"])
-    return torch.stack([each.exclude("reward", "done", "terminated") for each in measured])
+    return env.action_spec.space.high * Draws(0).uniform(-0.5, 0.5, steps, *env.action_spec.shape)
 
 
 @each_robot
@@ -54,9 +34,8 @@ def test_torchrl_accepts_an_environment_with_targets(
     check_env_specs(env)
     rollout = env.rollout(3)
     expected = targets[..., None, :].expand(*env.batch_size, 3, 2)
-    assert torch.equal(rollout["target"], expected) and torch.equal(
-        rollout["next", "target"], expected
-    )
+    for shown in (rollout["target"], rollout["next", "target"]):
+        assert torch.equal(shown, expected)
     assert rollout["target"].dtype == torch.float64
 
 
@@ -64,27 +43,22 @@ def test_torchrl_accepts_an_environment_with_targets(
 def test_targets_change_neither_the_motion_nor_what_is_saved(robot: type[MujocoRobotEnv]) -> None:
     plain, aimed = robot(num_envs=3, seed=0), robot(num_envs=3, seed=0, targets=TARGETS)
     starts, actions = plain.reset()["observation"], torques(plain, 5)
-    assert (
-        torch.equal(starts, aimed.reset()["observation"]) and "target" not in plain.observation_spec
-    )
+    assert torch.equal(starts, aimed.reset()["observation"])
+    assert "target" not in plain.observation_spec
     without, shown = run(plain, starts, actions), run(aimed, starts, actions)
     assert torch.equal(without["observation"], shown["observation"]) and "target" not in without
     assert plain.state_dict().keys() == aimed.state_dict().keys()
 
 
-def test_partial_reset_leaves_all_targets() -> None:
-    env = DoublePendulumEnv(num_envs=3, targets=TARGETS, seed=0)
-    after = env.reset()
-    mask = torch.tensor([[True], [False], [False]])
-    assert torch.equal(env.reset(after.set("_reset", mask))["target"], TARGETS)
-
-
-def test_target_of_an_observation_is_a_copy() -> None:
+def test_target_of_an_observation_is_a_copy_and_stays_at_a_partial_reset() -> None:
     given = TARGETS.clone()
     env = DoublePendulumEnv(num_envs=3, targets=given, seed=0)
     given.zero_()
     env.reset()["target"].zero_()
-    assert torch.equal(env.reset()["target"], TARGETS)
+    after = env.reset()
+    assert torch.equal(after["target"], TARGETS)
+    mask = torch.tensor([[True], [False], [False]])
+    assert torch.equal(env.reset(after.set("_reset", mask))["target"], TARGETS)
 
 
 @each_robot
@@ -124,49 +98,34 @@ def test_ball_of_each_robot_hangs_at_rest_where_it_is_said_to() -> None:
 
 
 def test_checkpoint_resumes_robots_with_balls_of_their_own() -> None:
-    env, strike = (
-        BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=0),
-        TensorDict({"action": STRIKE.expand(3, 3)}, [3]),
-    )
+    env = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=0)
     run(env, UNDER_THE_BALL.expand(3, 6), STRIKE.expand(2, 3, 3))
-    file = io.BytesIO()
-    torch.save(env.state_dict(), file)
-    file.seek(0)
-    resumed = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=1)
-    resumed.load_state_dict(torch.load(file, weights_only=True))
+    again, strike = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=1), STRIKE.expand(3, 3)
+    resumed(env, again)
     for _ in range(3):
-        assert (env.step(strike.clone())["next"] == resumed.step(strike.clone())["next"]).all()
+        assert (step(env, strike) == step(again, strike)).all()
 
 
 def test_replay_and_simulation_know_whose_ball_it_is() -> None:
     env = BioRobEnv(BALLS, num_envs=3, seed=0)
     actions = STRIKE.expand(5, 3)
     run(env, UNDER_THE_BALL.expand(3, 6), actions[:, None].expand(5, 3, 3))
-    for robot in range(3):
-        assert torch.equal(
-            env.replay(UNDER_THE_BALL, actions, 1, robot)[-1], env.state_dict()["_physics"][robot]
-        )
-        alone = BioRobEnv(BALLS[robot], seed=0)
-        assert torch.equal(
-            env.substates(UNDER_THE_BALL, STRIKE, 4, robot),
-            alone.substates(UNDER_THE_BALL, STRIKE, 4),
-        )
-        assert torch.equal(
-            env.simulate(UNDER_THE_BALL[None], STRIKE[None], robot),
-            alone.simulate(UNDER_THE_BALL[None], STRIKE[None]),
-        )
+    for robot, ball in enumerate(BALLS):
+        replayed = env.replay(UNDER_THE_BALL, actions, 1, robot)[-1]
+        assert torch.equal(replayed, env.state_dict()["_physics"][robot])
+        alone, within = BioRobEnv(ball, seed=0), (UNDER_THE_BALL, STRIKE, 4)
+        assert torch.equal(env.substates(*within, robot), alone.substates(*within))
+        one = UNDER_THE_BALL[None], STRIKE[None]
+        assert torch.equal(env.simulate(*one, robot), alone.simulate(*one))
 
 
-def test_bad_balls_are_refused_in_one_line() -> None:
-    for ball, num_envs, message in [
-        (BALLS, 2, r"ball must have shape \(3,\) or \(2, 3\), got \(3, 3\)"),
-        (BALLS, None, r"ball must have shape \(3,\), got \(3, 3\)"),
+def test_bad_balls_and_models_are_refused_in_one_line() -> None:
+    for num_envs, message in [
+        (2, r"ball must have shape \(3,\) or \(2, 3\), got \(3, 3\)"),
+        (None, r"ball must have shape \(3,\), got \(3, 3\)"),
     ]:
         with pytest.raises(ValueError, match=message):
-            BioRobEnv(ball, num_envs=num_envs)
-
-
-def test_models_must_be_one_or_one_for_each_robot() -> None:
+            BioRobEnv(BALLS, num_envs=num_envs)
     start = {"initial_mean": [0.0] * 2, "initial_std": [0.0] * 2}
     with pytest.raises(ValueError, match="one or 3 models, one for each robot, got 2"):
         MujocoRobotEnv([biorob_model()] * 2, ("yaw",), num_envs=3, **start)
@@ -190,8 +149,5 @@ for robot, ball in enumerate(balls):
 
 @pytest.mark.slow
 def test_picture_of_each_robot_shows_its_own_ball() -> None:
-    command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False
-    )
+    result = drawn(PICTURES, MUJOCO_GL="egl")
     assert result.returncode == 0, result.stderr

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 from torch_pmil.files import replacing
 
 TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
@@ -48,21 +48,19 @@ class Demonstrations:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", _numbers("positions", self.positions))
-        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
-        object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
+        for names in ("names", "target_names"):
+            object.__setattr__(self, names, tuple(map(str, getattr(self, names))))
         self._check_shapes()
         if not (isinstance(self.time_step, SupportsFloat) and 0 < float(self.time_step) < math.inf):
             raise DemonstrationError(
                 f"time_step must be positive and finite, in seconds, got {self.time_step!r}"
             )
         object.__setattr__(self, "time_step", float(self.time_step))
-        bad = (~self.positions.isfinite()).nonzero()
-        if len(bad):
-            demonstration, step, column = bad[0].tolist()
+        for demonstration, step, column in (~self.positions.isfinite()).nonzero()[:1].tolist():
+            number, name = self.positions[demonstration, step, column].item(), self.names[column]
             raise DemonstrationError(
-                "positions must be finite, got "
-                f"{self.positions[demonstration, step, column].item()} in demonstration "
-                f"{demonstration}, step {step}, column {self.names[column]}"
+                f"positions must be finite, got {number} in demonstration {demonstration}, step "
+                f"{step}, column {name}"
             )
         if self.targets is not None:
             object.__setattr__(self, "targets", _numbers("targets", self.targets))
@@ -73,28 +71,23 @@ class Demonstrations:
             )
 
     def _check_targets(self, targets: Tensor) -> None:
-        N, shape, names = len(self.positions), tuple(targets.shape), self.target_names
+        N, shape = len(self.positions), tuple(targets.shape)
         if len(shape) != 2 or shape[0] != N or shape[1] < 1:
             raise DemonstrationError(
                 f"targets must have shape ({N}, entries), one for each demonstration, got {shape}"
             )
-        if len(names) != shape[1] or len(set(names)) != shape[1]:
+        check_names(self.target_names, shape[1], "target_names", "entry")
+        for demonstration, entry in (~targets.isfinite()).nonzero()[:1].tolist():
+            number = targets[demonstration, entry].item()
             raise DemonstrationError(
-                f"target_names must be {shape[1]} different names, one per entry, got {names}"
+                f"targets must be finite, got {number} of demonstration {demonstration}"
             )
-        bad = (~targets.isfinite()).nonzero()
-        if len(bad):
-            demonstration, entry = bad[0].tolist()
-            raise DemonstrationError(
-                f"targets must be finite, got {targets[demonstration, entry].item()} of "
-                f"demonstration {demonstration}"
-            )
-        distinct, counts = targets.unique(dim=0, return_counts=True)
-        if (counts < 2).any():
-            lonely = distinct[counts.argmin()].tolist()
-            raise DemonstrationError(
-                f"each target must have at least two demonstrations, got one of {lonely}"
-            )
+        for target, count in zip(*targets.unique(dim=0, return_counts=True), strict=True):
+            if count < 2:
+                raise DemonstrationError(
+                    f"each target must have at least two demonstrations, got one of "
+                    f"{target.tolist()}"
+                )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
         """The S different targets (S, K), in order of appearance, and the set of each.
@@ -148,16 +141,10 @@ class Demonstrations:
             raise DemonstrationError(
                 f"positions must have shape (demonstrations, steps, columns), got {shape}"
             )
-        if shape[0] < 2:
-            raise DemonstrationError(
-                f"positions must hold at least two demonstrations, got {shape[0]}"
-            )
-        if shape[1] < 2:
-            raise DemonstrationError(f"positions must hold at least two steps, got {shape[1]}")
-        if shape[2] < 1 or len(self.names) != shape[2] or len(set(self.names)) != shape[2]:
-            raise DemonstrationError(
-                f"names must be {shape[2]} different names, one per column, got {self.names}"
-            )
+        for things, count in zip(("demonstrations", "steps"), shape[:2], strict=True):
+            if count < 2:
+                raise DemonstrationError(f"positions must hold at least two {things}, got {count}")
+        check_names(self.names, shape[2])
 
     @property
     def duration(self) -> float:

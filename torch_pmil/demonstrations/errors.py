@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO
 
-from torch_pmil.files import MIB, FileError, LineError, opened, read_bytes
+from torch_pmil.files import MIB, FileError, LineError
 
 # raised by parsers at damaged bytes; UnicodeDecodeError is a ValueError, NotImplementedError a
 # RuntimeError
@@ -69,36 +67,23 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
         raise DemonstrationError(f"not a readable {kind} ({reason})") from error
 
 
-def content_of(path: Path, most: int = FILE_BYTES) -> bytes:
-    """All of a regular file.
-
-    Raises DemonstrationError if it is not one or has more than ``most`` bytes.
-    """
-    try:
-        return read_bytes(path, most)
-    except FileError as error:
-        raise DemonstrationError(str(error)) from error
-
-
-@contextmanager
-def opened_set(path: Path) -> Iterator[BinaryIO]:
-    """A regular file of a data set, open for reading. Errors are those of :func:`content_of`."""
-    try:
-        with opened(path, SET_BYTES) as file:
-            yield file
-    except FileError as error:
-        raise DemonstrationError(str(error)) from error
-
-
 def check_count(things: str, count: int) -> None:
     """Raise DemonstrationError if a file has more things than ``MOST``."""
     if count > MOST[things]:
         raise DemonstrationError(f"there must be at most {MOST[things]} {things}, got {count}")
 
 
+def check_names(names: Sequence[str], count: int, name: str = "names", of: str = "column") -> None:
+    """Raise DemonstrationError unless there are as many names as columns, all different."""
+    if count < 1 or len(names) != count or len(set(names)) != count:
+        raise DemonstrationError(
+            f"{name} must be {count} different names, one per {of}, got {tuple(names)}"
+        )
+
+
 @contextmanager
 def within(where: object) -> Iterator[None]:
-    """Add the name of the file to a DemonstrationError.
+    """Add the name of the file to a DemonstrationError, or turn a FileError into one.
 
     Example:
         >>> try:
@@ -110,7 +95,7 @@ def within(where: object) -> Iterator[None]:
     """
     try:
         yield
-    except DemonstrationError as error:
+    except (DemonstrationError, FileError) as error:
         raise DemonstrationError(f"{where}: {error}") from error.__cause__
 
 

@@ -67,15 +67,13 @@ def advice(
         control_period: of the robot, in s.
         options: with which the file was read, for the same command.
     """
-    found, late = list(_too_few(recordings)), list(_timing(recordings, control_period))
-    found += late
-    velocities = velocities_of(recordings)
+    late = list(_timing(recordings, control_period))
+    found = [*_too_few(recordings), *late]
+    velocities = [recordings.names[column] for column in velocities_of(recordings)]
     if late and len(recordings.labels) > 1:
-        named = [recordings.names[column] for column in velocities]
         step = ["--time-step", f"{control_period:g}"]
         command = [*ALIGN.split(), path, "demonstrations.npz", *step, *options]
-        if named:
-            command += ["--velocities", *named]
+        command += ["--velocities", *velocities] if velocities else []
         found.append(f"align them: {shlex.join(command)}")
     if not velocities:
         found.append(
@@ -91,9 +89,8 @@ def spread(recordings: Recordings) -> np.ndarray:
     NaN if no two demonstrations have the same target.
     """
     stretched = _stretched(recordings)  # (N, SAMPLES, M)
-    targets = np.zeros((len(stretched), 1))
-    if recordings.targets is not None:
-        targets = recordings.targets.numpy()
+    shown = recordings.targets
+    targets = np.zeros((len(stretched), 1)) if shown is None else shown.numpy()
     owners = np.unique(targets, axis=0, return_inverse=True)[1]
     parts = [stretched[owners == owner] for owner in np.unique(owners)]
     squares = sum(((part - part.mean(0)) ** 2).sum(0) for part in parts)

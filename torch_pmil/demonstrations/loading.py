@@ -124,11 +124,8 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
         >>> shipped_demonstrations().positions.shape
         torch.Size([5, 26, 4])
     """
-    shipped = {
-        file.name.removesuffix(".npz"): file
-        for file in resources.files("torch_pmil.demonstrations").joinpath("data").iterdir()
-    }
-    shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
+    data = resources.files("torch_pmil.demonstrations").joinpath("data")
+    shipped = {Path(file.name).stem: file for file in data.iterdir() if file.name.endswith(".npz")}
     if name not in shipped:
         raise DemonstrationError(
             f"shipped demonstrations must be one of {sorted(shipped)}, got {name}"

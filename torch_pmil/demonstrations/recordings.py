@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
-from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 
 ALIGN = "pmil align"
 
@@ -62,11 +62,7 @@ class Recordings:
                 "labels, times and values must be as many, one for each demonstration, got "
                 f"{counts[0]}, {counts[1]} and {counts[2]}"
             )
-        if self.values[0].shape[1] != entries or len(set(self.names)) != entries:
-            width = self.values[0].shape[1]
-            raise DemonstrationError(
-                f"names must be {width} different names, one per column, got {self.names}"
-            )
+        check_names(self.names, self.values[0].shape[1])
         for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
             if values.shape != (len(times), entries) or not len(times):
                 raise DemonstrationError(
@@ -76,7 +72,7 @@ class Recordings:
             self._check_numbers(demonstration, times, values)
 
     def _check_numbers(self, demonstration: int, times: Tensor, values: Tensor) -> None:
-        for sample, entry in (~values.isfinite()).nonzero().tolist()[:1]:
+        for sample, entry in (~values.isfinite()).nonzero()[:1].tolist():
             name, number = self.names[entry], values[sample, entry].item()
             raise DemonstrationError(
                 f"{self.place(demonstration, sample)}, {name} must be a finite number, got {number}"
@@ -118,22 +114,22 @@ class Recordings:
         )
 
     def _check_lengths(self) -> None:
-        lengths = [len(times) for times in self.times]
-        if lengths[0] < 2:
+        first = len(self.times[0])
+        if first < 2:
             raise DemonstrationError(
-                f"demonstration {self.labels[0]} must have at least two samples, got {lengths[0]}"
+                f"demonstration {self.labels[0]} must have at least two samples, got {first}"
             )
-        for label, length in zip(self.labels, lengths, strict=True):
-            if length != lengths[0]:
+        for label, times in zip(self.labels, self.times, strict=True):
+            if len(times) != first:
                 raise DemonstrationError(
-                    f"demonstration {label} must have {lengths[0]} samples like demonstration "
-                    f"{self.labels[0]}, got {length}; {ALIGN} makes them one length"
+                    f"demonstration {label} must have {first} samples like demonstration "
+                    f"{self.labels[0]}, got {len(times)}; {ALIGN} makes them one length"
                 )
 
     def _check_steps(self, steps: Tensor) -> None:
         expected = steps[0, 0].item()
         wrong = (steps - expected).abs() > TIME_STEP_TOLERANCE * expected
-        for demonstration, step in wrong.nonzero().tolist()[:1]:
+        for demonstration, step in wrong.nonzero()[:1].tolist():
             raise DemonstrationError(
                 f"{self.place(demonstration, step + 1)}, time must follow the sample before it by "
                 f"{expected:g} s, got {steps[demonstration, step].item():g} s; {ALIGN} makes steps "

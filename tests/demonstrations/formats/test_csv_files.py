@@ -1,6 +1,4 @@
-"""CSV: a folder is the same as a file, columns are chosen and named, errors name file, row and
-column.
-"""
+"""CSV: a folder is the same as a file; columns are chosen; errors name file, row and column."""
 
 from __future__ import annotations
 
@@ -39,11 +37,9 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
     folder: Path, file: Path
 ) -> None:
     apart, together = load_recordings(folder), load_recordings(file)
-    assert (
-        (apart.labels, apart.names, apart.format)
-        == (together.labels, together.names, "CSV")
-        == (("demo_9", "demo_10"), ("x", "y"), "CSV")
-    )
+    assert apart.labels == together.labels == ("demo_9", "demo_10")
+    assert apart.names == together.names == ("x", "y")
+    assert apart.format == together.format == "CSV"
     for part in ("times", "values"):
         assert all(map(torch.equal, getattr(apart, part), getattr(together, part)))
 
@@ -51,21 +47,15 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            "time,x,z\n0,1,2",
-            "demo_10.csv: row 1 must be time,x,y as in the files before it, got time,x,z",
-        ),
-        ("x,y\n1,2", "demo_10.csv: row 1 must be time,NAME,..., got x,y"),
-        (
-            "time,x,y\n0,1,2\n0.1,1,far",
-            "demo_10.csv: row 3, column y must be a finite number, got 'far'",
-        ),
-        ("time,x,y\n0,1,2\n0,1,2", "demo_10.csv: row 3, time must increase, got 0 s after 0 s"),
+        ("time,x,z\n0,1,2", "row 1 must be time,x,y as in the files before it, got time,x,z"),
+        ("x,y\n1,2", "row 1 must be time,NAME,..., got x,y"),
+        ("time,x,y\n0,1,2\n0.1,1,far", "row 3, column y must be a finite number, got 'far'"),
+        ("time,x,y\n0,1,2\n0,1,2", "row 3, time must increase, got 0 s after 0 s"),
     ],
 )
 def test_malformed_file_of_a_folder_is_named(folder: Path, change: str, message: str) -> None:
     (folder / "demo_10.csv").write_text(change)
-    assert refused(load_recordings, folder) == f"{folder}: {message}"
+    assert refused(load_recordings, folder) == f"{folder}: demo_10.csv: {message}"
 
 
 def test_columns_are_read_in_the_order_of_keys_and_renamed(file: Path) -> None:
@@ -94,30 +84,24 @@ def test_option_that_does_not_fit_is_one_line(
     assert refused(load_recordings, file, **options) == f"{file}: {message}"
 
 
-def test_folder_of_one_length_and_step_loads_as_demonstrations(folder: Path) -> None:
-    assert "demonstration demo_10 must have 2 samples like demonstration demo_9, got 3" in refused(
-        load_demonstrations, folder
-    )
+def test_folder_of_one_length_and_step_loads_as_demonstrations(
+    folder: Path, tmp_path: Path
+) -> None:
+    complaint = "demonstration demo_10 must have 2 samples like demonstration demo_9, got 3"
+    assert complaint in refused(load_demonstrations, folder)
     (folder / "demo_10.csv").write_text("time,x,y\n5.0,3,-3\n5.1,4,-4")
     shown = load_demonstrations(folder, 0.1, names=("a", "b"))
     assert shown.names == ("a", "b")
     assert shown.positions.tolist() == [[[1, -1], [2, -2]], [[3, -3], [4, -4]]]
-
-
-def test_entries_of_an_npz_are_chosen_and_renamed(folder: Path, tmp_path: Path) -> None:
-    (folder / "demo_10.csv").write_text("time,x,y\n5.0,3,-3\n5.1,4,-4")
-    shown = load_demonstrations(folder)
-    shown.save(tmp_path / "walks.npz")
-    chosen = load_demonstrations(tmp_path / "walks.npz", keys=["y"], names=["height"])
+    saved = tmp_path / "walks.npz"  # of which entries are chosen and renamed likewise
+    shown.save(saved)
+    chosen = load_demonstrations(saved, keys=["b"], names=["height"])
     assert chosen.names == ("height",) and torch.equal(chosen.positions, shown.positions[..., 1:])
-    assert refused(load_demonstrations, tmp_path / "walks.npz", keys=["z"]).endswith(
-        "keys must be some of x, y, got z"
-    )
-    recordings = load_recordings(tmp_path / "walks.npz", keys=["y"])
-    assert (
-        torch.equal(torch.stack(recordings.values), shown.positions[..., 1:])
-        and recordings.format == "NPZ"
-    )
+    complaint = f"{saved}: keys must be some of a, b, got z"
+    assert refused(load_demonstrations, saved, keys=["z"]) == complaint
+    recordings = load_recordings(saved, keys=["b"])
+    assert torch.equal(torch.stack(recordings.values), shown.positions[..., 1:])
+    assert recordings.format == "NPZ"
 
 
 def test_folder_of_no_format_is_refused(tmp_path: Path) -> None:

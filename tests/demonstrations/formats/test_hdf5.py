@@ -1,6 +1,4 @@
-"""HDF5: what Minari wrote comes back without actions; robomimic's structure; errors name
-demonstration and key.
-"""
+"""HDF5: what Minari and robomimic write comes back; errors name demonstration and key."""
 
 from __future__ import annotations
 
@@ -16,6 +14,7 @@ from torch_pmil.demonstrations import load_demonstrations, load_recordings
 
 h5py = pytest.importorskip("h5py", reason="needs h5py: pip install 'torch_pmil[formats]'")
 LENGTHS = (5, 7, 6)
+NO_RATE = "time_step must be given, in s: the file does not say how often it was sampled"
 
 
 def walk(length: int, width: int, seed: int) -> np.ndarray:
@@ -24,9 +23,7 @@ def walk(length: int, width: int, seed: int) -> np.ndarray:
 
 @pytest.fixture
 def robomimic(tmp_path: Path) -> Path:
-    """Written as robomimic's ``scripts/dataset_states_to_obs.py`` (0.3.0) writes: twelve
-    demonstrations, so that order matters.
-    """
+    """As ``dataset_states_to_obs.py`` of robomimic 0.3.0 writes; with twelve, order matters."""
     path = tmp_path / "low_dim.hdf5"
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
@@ -79,69 +76,59 @@ def test_keys_of_robomimic_must_be_chosen_among_observed_numbers(robomimic: Path
     numbers = (
         "robot0_eef_pos (robot0_eef_pos_0, robot0_eef_pos_1, robot0_eef_pos_2), robot0_gripper"
     )
-    assert (
-        refused(load_recordings, robomimic)
-        == f"{robomimic}: keys must say what to read: some of {numbers}"
-    )
+    complaint = f"{robomimic}: keys must say what to read: some of {numbers}"
+    assert refused(load_recordings, robomimic) == complaint
     for hidden in ("actions", "agentview_image", "../actions"):
-        assert (
-            refused(load_recordings, robomimic, keys=[hidden])
-            == f"{robomimic}: keys must be some of {numbers}, got {hidden}"
-        )
+        complaint = f"{robomimic}: keys must be some of {numbers}, got {hidden}"
+        assert refused(load_recordings, robomimic, keys=[hidden]) == complaint
 
 
-def test_damaged_structure_names_demonstration_and_key(robomimic: Path) -> None:
+PLACE, GRIPPER = "robot0_eef_pos", "robot0_gripper"
+NO_SAMPLES = (
+    "demonstration demo_1 must hold 3 entries at each of at least one time, got (0, 3) at 0 times"
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "keys", "message"),
+    [
+        (
+            {f"demo_3/obs/{GRIPPER}": np.arange(5)},
+            [GRIPPER, PLACE],
+            f"demo_3, {GRIPPER} must have 7 samples like {PLACE}, got 5",
+        ),
+        (
+            {f"demo_3/obs/{GRIPPER}": None},
+            [GRIPPER],
+            f"demo_3 must hold {GRIPPER} in the shape of the first demonstration",
+        ),
+        (
+            {f"demo_2/obs/{PLACE}": np.array([3 * [0.0], [0.0, 0.0, np.nan]])},
+            [PLACE],
+            f"demonstration demo_2, sample 1, {PLACE}_2 must be a finite number, got nan",
+        ),
+        ({f"demo_1/obs/{PLACE}": np.zeros((0, 3))}, [PLACE], NO_SAMPLES),
+        ({"env_args": None}, [PLACE], NO_RATE),
+    ],
+)
+def test_damaged_structure_names_demonstration_and_key(
+    robomimic: Path, changes: dict, keys: list[str], message: str
+) -> None:
     with h5py.File(robomimic, "a") as file:
-        del file["data/demo_3/obs/robot0_gripper"]
-        file["data/demo_3/obs/robot0_gripper"] = np.arange(5)
-    message = "demo_3, robot0_gripper must have 7 samples like robot0_eef_pos, got 5"
-    assert (
-        refused(load_recordings, robomimic, keys=["robot0_gripper", "robot0_eef_pos"])
-        == f"{robomimic}: {message}"
-    )
-    with h5py.File(robomimic, "a") as file:
-        del file["data/demo_3/obs/robot0_gripper"]
-    message = "demo_3 must hold robot0_gripper in the shape of the first demonstration"
-    assert refused(load_recordings, robomimic, keys=["robot0_gripper"]) == f"{robomimic}: {message}"
-    with h5py.File(robomimic, "a") as file:
-        file["data/demo_2/obs/robot0_eef_pos"][1, 2] = np.nan
-    message = "demonstration demo_2, sample 1, robot0_eef_pos_2 must be a finite number, got nan"
-    assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
-    with h5py.File(robomimic, "a") as file:
-        del file["data"].attrs["env_args"]
-    message = "time_step must be given, in s: the file does not say how often it was sampled"
-    assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
-
-
-def test_demonstration_without_samples_is_refused(robomimic: Path) -> None:
-    with h5py.File(robomimic, "a") as file:
-        del file["data/demo_1/obs/robot0_eef_pos"]
-        file["data/demo_1/obs/robot0_eef_pos"] = np.zeros((0, 3))
-    message = (
-        "demonstration demo_1 must hold 3 entries at each of at least one time, got (0, 3) at 0 "
-        "times"
-    )
-    assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
-
-
-def test_other_hdf5_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.h5"
-    with h5py.File(path, "w") as file:
-        file["weights"] = np.zeros(3)
-    message = (
-        "an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found "
-        "['weights']"
-    )
-    assert refused(load_recordings, path) == f"{path}: {message}"
+        for path, values in changes.items():
+            holder = file["data"] if path in file["data"] else file["data"].attrs
+            del holder[path]
+            if values is not None:
+                holder[path] = values
+    assert refused(load_recordings, robomimic, keys=keys) == f"{robomimic}: {message}"
 
 
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.3, 0.9])
 def test_truncated_hdf5_is_refused(robomimic: Path, part: float) -> None:
     content = robomimic.read_bytes()
     robomimic.write_bytes(content[: int(part * len(content))])
-    assert refused(load_recordings, robomimic, keys=["robot0_gripper"]).startswith(
-        f"{robomimic}: not a readable HDF5 file ("
-    )
+    complaint = refused(load_recordings, robomimic, keys=["robot0_gripper"])
+    assert complaint.startswith(f"{robomimic}: not a readable HDF5 file (")
 
 
 @pytest.fixture
@@ -183,18 +170,15 @@ def test_observations_that_minari_wrote_come_back(minari: Path) -> None:
     for number, (length, values) in enumerate(zip(LENGTHS, recordings.values, strict=True)):
         np.testing.assert_allclose(values[:, :2], walk(length, 2, number), rtol=1e-6)
         assert values[:, 2].tolist() == [number] * length
-    again = load_recordings(
-        minari / "data" / "main_data.hdf5", keys=["hand", "goal/at"], time_step=0.05
-    )
+    file = minari / "data" / "main_data.hdf5"
+    again = load_recordings(file, keys=["hand", "goal/at"], time_step=0.05)
     assert all(map(torch.equal, recordings.values, again.values))
-    assert (
-        load_recordings(minari / "data", keys=["hand"], time_step=0.05).labels == recordings.labels
-    )
+    within = load_recordings(minari / "data", keys=["hand"], time_step=0.05)
+    assert within.labels == recordings.labels
 
 
 def test_minari_has_no_times_and_its_keys_are_chosen(minari: Path) -> None:
-    message = "time_step must be given, in s: the file does not say how often it was sampled"
-    assert refused(load_recordings, minari, keys=["hand"]) == f"{minari}: {message}"
+    assert refused(load_recordings, minari, keys=["hand"]) == f"{minari}: {NO_RATE}"
     message = "keys must say what to read: some of goal/at (goal/at_0), hand (hand_0, hand_1)"
     assert refused(load_recordings, minari, time_step=0.1) == f"{minari}: {message}"
 
@@ -210,14 +194,19 @@ def test_only_observation_of_minari_is_read_without_asking(minari: Path) -> None
     assert np.array_equal(shown.positions[2], walk(4, 2, 2))
 
 
+def test_other_hdf5_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["weights"] = np.zeros(3)
+    groups = "data/demo_N (robomimic) or episode_N (Minari)"
+    complaint = f"an HDF5 file must hold groups {groups}, found ['weights']"
+    assert refused(load_recordings, tmp_path / "other.h5").endswith(f".h5: {complaint}")
+
+
 def test_minari_of_another_storage_is_refused(minari: Path) -> None:
     metadata = minari / "data" / "metadata.json"
     metadata.write_text(metadata.read_text().replace('"hdf5"', '"arrow"'))
-    assert (
-        refused(load_recordings, minari)
-        == f"{minari}: data_format of a Minari data set must be hdf5, got arrow"
-    )
+    complaint = f"{minari}: data_format of a Minari data set must be hdf5, got arrow"
+    assert refused(load_recordings, minari) == complaint
     metadata.write_text("{")
-    assert refused(load_recordings, minari).startswith(
-        f"{minari}: not a readable Minari data set ("
-    )
+    complaint = f"{minari}: not a readable Minari data set ("
+    assert refused(load_recordings, minari).startswith(complaint)

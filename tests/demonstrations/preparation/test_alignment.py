@@ -1,10 +1,10 @@
-"""Time alignment: timing is taken away, motion stays, and what cannot be aligned is refused in one
-line.
-"""
+"""Time alignment: timing is taken away, motion stays; what cannot be aligned is refused."""
 
 from __future__ import annotations
 
 import math
+import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ import torch
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor
 
+from tests.helpers.draws import Draws
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError, align, crop, resample
 
@@ -26,20 +27,12 @@ def spread(trajectories: Tensor) -> float:
 def stretched(trajectories: list[Tensor]) -> Tensor:
     """To the length of the shortest one, evenly."""
     steps = min(len(one) for one in trajectories)
-    return torch.stack(
-        [
-            torch.nn.functional.interpolate(one.mT[None], steps, mode="linear", align_corners=True)[
-                0
-            ].mT
-            for one in trajectories
-        ]
-    )
+    even = partial(torch.nn.functional.interpolate, size=steps, mode="linear", align_corners=True)
+    return torch.cat([even(one.mT[None]).mT for one in trajectories])
 
 
 def shown_by_people(positions: Tensor, seed: int) -> list[Tensor]:
-    """Positions (N, T, M) and their velocities at 100 Hz with artificial timing: total time varies
-    by 15 %, pace by half.
-    """
+    """Positions (N, T, M) and their velocities at 100 Hz: time varies by 15 %, pace by half."""
     draws, shown = np.random.default_rng(seed), []
     for demonstration in positions.numpy():
         steps = int(100 * 2.5 * draws.uniform(0.85, 1.15))
@@ -64,9 +57,8 @@ def shown(swing_ups: Tensor) -> list[Tensor]:
 
 
 def test_identical_trajectories_stay(swing_ups: Tensor) -> None:
-    torch.testing.assert_close(
-        align([swing_ups[0]] * 3), swing_ups[:1].expand(3, -1, -1), rtol=0, atol=1e-12
-    )
+    same = swing_ups[:1].expand(3, -1, -1)
+    torch.testing.assert_close(align(list(same)), same, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -114,14 +106,11 @@ def test_shipped_demonstrations_spread_less_with_each_delay(swing_ups: Tensor, s
     assert spread(align(delayed)) <= spread(stretched(delayed))
 
 
-def test_ends_stay(shown: list[Tensor]) -> None:
+def test_ends_stay_and_the_duration_is_the_mean(shown: list[Tensor]) -> None:
     aligned = align(shown, VELOCITIES)
+    assert aligned.shape == (5, round(np.mean([len(one) - 1 for one in shown])) + 1, 8)
     for one, result in zip(shown, aligned, strict=True):
         torch.testing.assert_close(result[[0, -1], :4], one[[0, -1], :4], rtol=0, atol=1e-9)
-
-
-def test_common_duration_is_the_mean(shown: list[Tensor]) -> None:
-    assert align(shown).shape == (5, round(np.mean([len(one) - 1 for one in shown])) + 1, 8)
 
 
 def test_velocities_are_those_of_the_warped_positions(shown: list[Tensor]) -> None:
@@ -133,24 +122,15 @@ def test_velocities_are_those_of_the_warped_positions(shown: list[Tensor]) -> No
     assert untold.square().mean() > 100 * difference.square().mean()
 
 
-def test_velocities_may_be_counted_from_the_end(shown: list[Tensor]) -> None:
-    assert torch.equal(align(shown, [-4, -3, -2, -1]), align(shown, VELOCITIES))
-
-
-def test_order_of_demonstrations_does_not_matter(shown: list[Tensor]) -> None:
+def test_counting_from_the_end_order_and_units_do_not_matter(shown: list[Tensor]) -> None:
+    aligned = align(shown, VELOCITIES)
+    assert torch.equal(align(shown, [-4, -3, -2, -1]), aligned)
     order = [3, 0, 4, 2, 1]
     torch.testing.assert_close(align([shown[index] for index in order]), align(shown)[order])
-
-
-def test_units_do_not_matter(shown: list[Tensor]) -> None:
     units = torch.ones(8, dtype=torch.float64)
     units[1] = 1000.0
-    torch.testing.assert_close(
-        align([one * units for one in shown], VELOCITIES) / units,
-        align(shown, VELOCITIES),
-        rtol=0,
-        atol=1e-9,
-    )
+    scaled = align([one * units for one in shown], VELOCITIES)
+    torch.testing.assert_close(scaled / units, aligned, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("turn", [0.5, 2.0])
@@ -159,17 +139,13 @@ def test_places_on_a_page_may_be_turned(shown: list[Tensor], turn: float) -> Non
         [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64
     )
     places = [one[:, :2] * torch.tensor([1.0, 0.2], dtype=torch.float64) for one in shown]
-    aligned, turned = (
-        align(places, isotropic=True),
-        align([one @ axes for one in places], isotropic=True),
-    )
+    turned_places = [one @ axes for one in places]
+    aligned, turned = (align(each, isotropic=True) for each in (places, turned_places))
     torch.testing.assert_close(turned, aligned @ axes, rtol=0, atol=1e-9)
-    torch.testing.assert_close(
-        crop(places[0] @ axes, isotropic=True), crop(places[0], isotropic=True) @ axes
-    )
-    assert (
-        align([one @ axes for one in places]) - align(places) @ axes
-    ).abs().max() > 1e-3  # each coordinate by its own spread
+    cropped, expected = (crop(each[0], isotropic=True) for each in (turned_places, places))
+    torch.testing.assert_close(cropped, expected @ axes)
+    by_own_spreads = align(turned_places) - align(places) @ axes
+    assert by_own_spreads.abs().max() > 1e-3
 
 
 def test_constant_columns_stay_and_decide_nothing(shown: list[Tensor]) -> None:
@@ -182,12 +158,8 @@ def test_constant_columns_stay_and_decide_nothing(shown: list[Tensor]) -> None:
 
 
 def test_one_column_is_aligned_as_it_is_among_copies_of_itself(shown: list[Tensor]) -> None:
-    torch.testing.assert_close(
-        align([one[:, :1] for one in shown]),
-        align([one[:, [0, 0]] for one in shown])[..., :1],
-        rtol=0,
-        atol=0.02,
-    )
+    alone, copied = (align([one[:, columns] for one in shown]) for columns in ([0], [0, 0]))
+    torch.testing.assert_close(alone, copied[..., :1], rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize("reference", range(5))
@@ -209,126 +181,82 @@ def test_window_limits_the_shift() -> None:
     assert (bound[0] - bound[1]).abs().max() > 0.5
 
 
-@pytest.mark.parametrize(
-    ("trajectories", "arguments", "message"),
-    [
-        (
-            [torch.rand(5, 2), torch.rand(5)],
-            {},
-            "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (5,)",
-        ),
-        (
-            [torch.rand(5, 2), torch.rand(2, 2)],
-            {},
-            "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (2, 2)",
-        ),
-        (
-            [torch.rand(5, 2), torch.rand(5, 3)],
-            {},
-            "trajectory 1 must have 2 columns like the first, got 3",
-        ),
-        (
-            [torch.rand(5, 2), torch.tensor([[0.0], [1.0], [torch.nan]]).expand(3, 2)],
-            {},
-            "trajectory 1 must be finite, got nan in sample 2, column 0",
-        ),
-        (
-            [torch.rand(5, 2)] * 2,
-            {"reference": 2},
-            "reference must be the number of a trajectory, 0 to 1, got 2",
-        ),
-        ([torch.rand(5, 2)] * 2, {"velocities": [2]}, "velocities must be columns of 2, got 2"),
-        (
-            [torch.rand(5, 2)] * 2,
-            {"velocities": [0, 1]},
-            "at least one of the 2 columns must be a position, got velocities [0, 1]",
-        ),
-        (
-            [torch.ones(5, 2), torch.ones(6, 2)],
-            {},
-            "trajectories must move: every coordinate is constant",
-        ),
-    ],
-)
-def test_what_cannot_be_aligned_is_refused(
-    trajectories: list[Tensor], arguments: dict[str, object], message: str
-) -> None:
+PAIR = [torch.rand(5, 2)] * 2
+NOT_FINITE = torch.tensor([[0.0], [1.0], [torch.nan]]).expand(3, 2)
+SHAPE = "trajectory 1 must have shape (samples, columns) with at least 3 samples, got"
+REFUSED = {
+    f"{SHAPE} (5,)": ([PAIR[0], torch.rand(5)], {}),
+    f"{SHAPE} (2, 2)": ([PAIR[0], torch.rand(2, 2)], {}),
+    "trajectory 1 must have 2 columns like the first, got 3": ([PAIR[0], torch.rand(5, 3)], {}),
+    "trajectory 1 must be finite, got nan in sample 2, column 0": ([PAIR[0], NOT_FINITE], {}),
+    "reference must be the number of a trajectory, 0 to 1, got 2": (PAIR, {"reference": 2}),
+    "velocities must be columns of 2, got 2": (PAIR, {"velocities": [2]}),
+    "at least one of the 2 columns must be a position, got velocities [0, 1]": (
+        PAIR,
+        {"velocities": [0, 1]},
+    ),
+    "trajectories must move: every coordinate is constant": ([torch.ones(5, 2)] * 2, {}),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_cannot_be_aligned_is_refused(message: str) -> None:
+    trajectories, arguments = REFUSED[message]
     with pytest.raises(AlignmentError) as error:
         align(trajectories, **arguments)
     assert str(error.value) == message
 
 
-def test_uneven_samples_become_even_ones() -> None:
-    draws = torch.Generator().manual_seed(0)
-    times = (
-        5 + torch.cat([torch.zeros(1), torch.rand(300, generator=draws).cumsum(0) / 100]).double()
-    )
+def test_uneven_samples_become_even_ones_and_even_ones_stay() -> None:
+    steps = torch.rand(300, generator=torch.Generator().manual_seed(0)) / 100
+    times = 5 + torch.cat([torch.zeros(1), steps.cumsum(0)]).double()
     values = torch.stack([times.sin(), times.cos()], -1)
     even = 5 + 0.05 * torch.arange(int((times[-1] - 5) / 0.05) + 1, dtype=torch.float64)
     expected = torch.stack([even.sin(), even.cos()], -1)
-    torch.testing.assert_close(resample(values, times, 0.05), expected, rtol=0, atol=1e-6)
-    batch = torch.stack([values, 2 * values])
-    torch.testing.assert_close(
-        resample(batch, times, 0.05), torch.stack([expected, 2 * expected]), rtol=0, atol=1e-6
-    )
-
-
-def test_even_samples_stay_and_the_last_one_too() -> None:
-    values = torch.rand(26, 3, generator=torch.Generator().manual_seed(0)).double()
-    times = 0.1 * torch.arange(26, dtype=torch.float64)
-    torch.testing.assert_close(resample(values, times, 0.1), values)
+    for scale in (torch.tensor(1.0), torch.tensor([1.0, 2.0])[:, None, None]):  # one, and a batch
+        found = resample(scale * values, times, 0.05)
+        torch.testing.assert_close(found, scale * expected, rtol=0, atol=1e-6)
+    rough, times = Draws(0).normal(26, 3), 0.1 * torch.arange(26, dtype=torch.float64)
+    torch.testing.assert_close(resample(rough, times, 0.1), rough)
 
 
 @pytest.mark.parametrize(
-    ("values", "times", "time_step", "message"),
+    ("samples", "times", "time_step", "message"),
     [
-        (
-            torch.rand(4, 2),
-            torch.arange(3),
-            1.0,
-            r"values must be \(\*batch, T, M\) and times \(T,\) with T >= 2, got \(4, 2\) and "
-            r"\(3,\)",
-        ),
-        (
-            torch.rand(3, 2),
-            torch.tensor([0.0, 2.0, 1.0]),
-            1.0,
-            "times must increase, got 1 s after 2 s at sample 2",
-        ),
-        *(
-            (torch.rand(3, 2), torch.arange(3.0), step, f"at most the duration, 2 s, got {step} s")
-            for step in (2.5, 0.0)
-        ),
+        (4, torch.arange(3), 1.0, "times (T,) with T >= 2, got (4, 2) and (3,)"),
+        (3, torch.tensor([0.0, 2, 1]), 1.0, "times must increase, got 1 s after 2 s at sample 2"),
+        (3, torch.arange(3.0), 2.5, "at most the duration, 2 s, got 2.5 s"),
+        (3, torch.arange(3.0), 0.0, "at most the duration, 2 s, got 0.0 s"),
     ],
 )
 def test_what_cannot_be_resampled_is_refused(
-    values: Tensor, times: Tensor, time_step: float, message: str
+    samples: int, times: Tensor, time_step: float, message: str
 ) -> None:
-    with pytest.raises(AlignmentError, match=message):
-        resample(values, times, time_step)
+    with pytest.raises(AlignmentError, match=re.escape(message)):
+        resample(torch.rand(samples, 2), times, time_step)
 
 
-def test_rest_is_cut_off_but_one_sample(swing_ups: Tensor) -> None:
+def test_rest_is_cut_off_but_one_sample_and_noise_of_velocities_is_no_motion(
+    swing_ups: Tensor,
+) -> None:
     reach = swing_ups[0, :18]
     resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
     torch.testing.assert_close(crop(resting, 0.0), reach)
-
-
-def test_noise_of_velocities_is_no_motion(swing_ups: Tensor) -> None:
-    reach = swing_ups[0, :18]
-    resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
-    noise = torch.randn(
-        len(resting), 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64
-    )
+    noise = Draws(0).normal(len(resting), 2)
     kept = crop(torch.cat([resting, noise], 1), 0.0, velocities=[-2, -1])
     torch.testing.assert_close(kept, torch.cat([reach, noise[9:-6]], 1))
     assert len(crop(torch.cat([resting, noise], 1), 0.0)) == len(resting)
 
 
-def test_what_cannot_be_cropped_is_refused() -> None:
-    with pytest.raises(
-        AlignmentError, match=r"trajectories must move: every coordinate is constant"
-    ):
-        crop(torch.ones(5, 2))
-    with pytest.raises(AlignmentError, match=r"threshold must be in \[0, 1\), got 1"):
-        crop(torch.rand(5, 2), 1.0)
+@pytest.mark.parametrize(
+    ("trajectory", "threshold", "message"),
+    [
+        (torch.ones(5, 2), 0.05, "trajectories must move: every coordinate is constant"),
+        (PAIR[0], 1.0, r"threshold must be in \[0, 1\), got 1"),
+    ],
+)
+def test_what_cannot_be_cropped_is_refused(
+    trajectory: Tensor, threshold: float, message: str
+) -> None:
+    with pytest.raises(AlignmentError, match=message):
+        crop(trajectory, threshold)

@@ -1,8 +1,8 @@
-"""Pixels to metres: exact for a pinhole camera from anywhere, and refused where markers do not
-determine the plane.
-"""
+"""Pixels to metres: exact for a pinhole camera from anywhere; markers must determine the plane."""
 
 from __future__ import annotations
+
+import re
 
 import pytest
 import torch
@@ -47,31 +47,16 @@ def test_more_markers_average_their_errors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pixels", "markers", "places", "message"),
+    ("width", "markers", "places", "message"),
     [
-        (
-            torch.rand(5, 2),
-            torch.rand(3, 2),
-            torch.rand(3, 2),
-            r"markers and places must be \(K, 2\) with K >= 4, got \(3, 2\) and \(3, 2\)",
-        ),
-        (
-            torch.rand(5, 3),
-            torch.rand(4, 2),
-            torch.rand(4, 2),
-            r"pixels must be \(\*batch, 2\), got \(5, 3\)",
-        ),
-        (
-            torch.rand(5, 2),
-            torch.arange(8.0).reshape(4, 2),
-            SHEET[:4],
-            "markers must determine the plane: no three of the four on one line",
-        ),
-        (torch.rand(5, 2), torch.ones(4, 2), SHEET[:4], "markers must determine the plane"),
+        (2, torch.rand(3, 2), SHEET[:3], r"be (K, 2) with K >= 4, got (3, 2) and (3, 2)"),
+        (3, torch.rand(4, 2), SHEET[:4], "pixels must be (*batch, 2), got (5, 3)"),
+        (2, torch.arange(8.0).reshape(4, 2), SHEET[:4], "no three of the four on one line"),
+        (2, torch.ones(4, 2), SHEET[:4], "markers must determine the plane"),
     ],
 )
 def test_what_determines_no_plane_is_refused(
-    pixels: Tensor, markers: Tensor, places: Tensor, message: str
+    width: int, markers: Tensor, places: Tensor, message: str
 ) -> None:
-    with pytest.raises(AlignmentError, match=message):
-        plane_coordinates(pixels, markers, places)
+    with pytest.raises(AlignmentError, match=re.escape(message)):
+        plane_coordinates(torch.rand(5, width), markers, places)

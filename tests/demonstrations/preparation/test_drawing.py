@@ -1,6 +1,4 @@
-"""Drawn strokes: what a page sends is checked and becomes demonstrations that do not depend on how
-it was sampled.
-"""
+"""Drawn strokes are checked and become demonstrations, however they were sampled."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ def stroke(
     turn: float = 0,
     jitter: int | None = None,
 ) -> Samples:
-    """The wave at a pace of its own, from rest to rest, turned about the middle of the square by an
-    angle in rad.
-    """
+    """The wave at a pace, from rest to rest, turned about the middle of the square, in rad."""
     draws = np.random.default_rng(jitter)
     times = np.arange(0, sum(rests) + duration, 1 / rate)
     if jitter is not None:
@@ -70,19 +66,17 @@ def demonstrations(samples: list[Samples], time_step: float = 0.1) -> Demonstrat
 
 def off_the_path(positions: Tensor) -> float:
     """Largest distance of positions in m from the wave."""
-    path = SIDE * np.stack(
-        [wave(np.linspace(0, 1, 5001))[:, 0], 1 - wave(np.linspace(0, 1, 5001))[:, 1]], -1
-    )
-    return torch.cdist(positions.reshape(-1, 2), torch.from_numpy(path)).amin(1).amax().item()
+    right, down = wave(np.linspace(0, 1, 5001)).T
+    path = torch.from_numpy(SIDE * np.stack([right, 1 - down], -1))
+    return torch.cdist(positions.reshape(-1, 2), path).amin(1).amax().item()
 
 
 def test_corners_of_the_square_are_metres_with_y_up() -> None:
     across = [[10 * k, k / 40, k / 40] for k in range(41)]
     recorded = read_strokes(json.dumps([across, across]))
     assert recorded.names == ("x", "y") and recorded.labels == ("1", "2")
-    torch.testing.assert_close(
-        recorded.values[0][[0, -1]], torch.tensor([[0, SIDE], [SIDE, 0]], dtype=torch.float64)
-    )
+    ends = torch.tensor([[0, SIDE], [SIDE, 0]], dtype=torch.float64)
+    torch.testing.assert_close(recorded.values[0][[0, -1]], ends)
     assert recorded.times[0][[0, -1]].tolist() == [0, 0.4]
 
 
@@ -100,8 +94,8 @@ def test_timing_of_their_own_is_taken_away() -> None:
         for values in recorded.values
     ]
     spread, spread_left = (
-        torch.stack(list(each)).std(0).square().mean().sqrt()
-        for each in (evenly, drawn_demonstrations(recorded).positions)
+        positions.std(0).square().mean().sqrt()
+        for positions in (torch.stack(evenly), drawn_demonstrations(recorded).positions)
     )
     assert spread_left < 0.25 * spread
 
@@ -113,54 +107,42 @@ def test_mean_duration_is_kept_to_a_whole_number_of_time_steps() -> None:
         assert abs(demonstrations(strokes(), step).duration - moving) <= step / 2
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [{"rate": 60}, {"rate": 1000}, {"rate": 125, "jitter": 3}],
-    ids=["slow", "fast", "uneven"],
-)
-def test_rate_of_samples_does_not_matter(settings: dict[str, float]) -> None:
-    torch.testing.assert_close(
-        demonstrations(strokes(**settings)).positions,
-        demonstrations(strokes()).positions,
-        rtol=0,
-        atol=CLOSE,
-    )
-
-
-def test_steps_from_pixel_to_pixel_do_not_matter() -> None:
-    samples = [
+def from_pixel_to_pixel() -> list[Samples]:
+    return [
         [[time, round(500 * right) / 500, round(500 * down) / 500] for time, right, down in each]
         for each in strokes(rate=1000)
     ]
-    torch.testing.assert_close(
-        demonstrations(samples).positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
-    )
 
 
-def test_rests_at_the_ends_are_dropped() -> None:
-    rested = demonstrations(strokes(rests=(0.7, 0.4)))
-    torch.testing.assert_close(
-        rested.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
-    )
+def trembling_at_rest() -> list[Samples]:
+    """By a pixel."""
+    draws, trembling = np.random.default_rng(0), strokes(rests=(0.7, 0.4))
+    shifts = [draws.choice([-0.5, 0.5], size=(len(samples), 2)) / 500 for samples in trembling]
+    return [
+        (np.array(samples) + np.pad(shift, [(0, 0), (1, 0)])).tolist()
+        for samples, shift in zip(trembling, shifts, strict=True)
+    ]
 
 
-def test_trembling_by_a_pixel_is_rest() -> None:
-    draws, trembling = (
-        np.random.default_rng(0),
-        [np.array(each) for each in strokes(rests=(0.7, 0.4))],
-    )
-    for samples in trembling:
-        samples[:, 1:] += draws.choice([-0.5, 0.5], size=(len(samples), 2)) / 500
-    drawn = demonstrations([samples.tolist() for samples in trembling])
-    torch.testing.assert_close(
-        drawn.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
-    )
+@pytest.mark.parametrize(
+    "sampled",
+    [
+        strokes(rate=60),
+        strokes(rate=1000),
+        strokes(rate=125, jitter=3),
+        from_pixel_to_pixel(),
+        strokes(rests=(0.7, 0.4)),
+        trembling_at_rest(),
+    ],
+    ids=["slow", "fast", "uneven", "pixels", "rests", "trembling"],
+)
+def test_rate_steps_between_pixels_and_rests_do_not_matter(sampled: list[Samples]) -> None:
+    found, expected = (demonstrations(each).positions for each in (sampled, strokes()))
+    torch.testing.assert_close(found, expected, rtol=0, atol=CLOSE)
 
 
 def test_rest_on_the_way_without_samples_is_bridged_without_overshoot() -> None:
-    """A page hears nothing of a pen that rests; the first of two quick samples before it gives a
-    spline a slope to overshoot with.
-    """
+    """Two quick samples before the rest give a spline a slope to overshoot with."""
     halfway = [[8 * k, 0.1 + 0.01 * k, 0.5] for k in range(41)]
     resting = [*halfway, [halfway[-1][0] + 0.1, 0.505, 0.5]]
     rest = [[time + 800, right + 0.005, down] for time, right, down in halfway[1:]]
@@ -183,13 +165,10 @@ def test_straight_line_is_timed_by_its_length_not_by_trembling_across() -> None:
     draws, lines = np.random.default_rng(0), []
     for pace in PACES:
         samples = np.array(stroke(pace))
-        across = PchipInterpolator(np.linspace(0, 1, 9), draws.normal(size=9))(
-            np.linspace(0, 1, len(samples))
-        )
-        samples[:, 2] = 0.5 + 0.004 * across
+        across = PchipInterpolator(np.linspace(0, 1, 9), draws.normal(size=9))
+        samples[:, 2] = 0.5 + 0.004 * across(np.linspace(0, 1, len(samples)))
         lines.append(samples.tolist())
-    drawn = demonstrations(lines)
-    assert drawn.positions[..., 0].std(0).max() < 0.02 * SIDE
+    assert demonstrations(lines).positions[..., 0].std(0).max() < 0.02 * SIDE
 
 
 def test_files_hold_the_demonstrations_and_all_that_was_recorded(tmp_path: Path) -> None:
@@ -210,74 +189,52 @@ def test_neither_file_is_left_where_one_cannot_be_written(tmp_path: Path) -> Non
     assert os.listdir(tmp_path) == ["wave.npz"]
 
 
-def changed(at: int, value: object) -> str:
-    samples = strokes()
-    samples[1][at] = value
-    return json.dumps(samples)
+FIRST, SECOND = strokes()[:2]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[[1, 2", "the strokes must be JSON, got '[[1, 2' (Expecting ',' delimiter"),
-        (b"\xff\xfe\xfd", "the strokes must be JSON"),
-        ("[" * 100000, "the strokes must be JSON"),
-        ('{"strokes": []}', "the strokes must be a list of 2 to 20, got {'strokes': []}"),
-        (json.dumps(strokes()[:1]), "the strokes must be a list of 2 to 20, got 1"),
-        (json.dumps(5 * strokes()), "the strokes must be a list of 2 to 20, got 25"),
-        (
-            json.dumps([strokes()[0], "drawn"]),
-            "stroke 2 must be a list of at least 10 samples, got 'drawn'",
-        ),
-        (
-            json.dumps([strokes()[0], strokes()[1][:9]]),
-            "stroke 2 must be a list of at least 10 samples, got 9",
-        ),
-        *(
-            (
-                changed(4, sample),
-                "stroke 2, sample 5 must be three finite numbers [time, right, down], got "
-                f"[{shown}]",
-            )
-            for sample, shown in (
-                ([1, 2], "1.0, 2.0"),
-                ([36, "0.5", 0.5], "36.0, '0.5', 0.5"),
-                ([36, None, 0.5], "36.0, None, 0.5"),
-                ([36, True, 0.5], "36.0, True, 0.5"),
-                ([36, math.nan, 0.5], "36.0, nan, 0.5"),
-                ([36, 10**400, 0.5], "36.0, inf, 0.5"),
-            )
-        ),
-        (
-            changed(4, [4321.5, 0.2, 0.5]),
-            "stroke 2, sample 5 must be later than the one before, got 4321.5 after 4345.5 ms",
-        ),
-        (
-            changed(4, [4350, 0.2, -0.5]),
-            "stroke 2, sample 5 must be inside of the square, [0, 1], got [0.2, -0.5]",
-        ),
-        (
-            json.dumps([strokes()[0], stroke(PACES[0], 0.2)]),
-            "stroke 2 must last 0.3 to 20 s, got 0.192 s",
-        ),
-        (
-            json.dumps([strokes()[0], stroke(PACES[0], 30, 20)]),
-            "stroke 2 must last 0.3 to 20 s, got 29.9 s",
-        ),
-        (
-            json.dumps([strokes()[0], [[10 * k, 0.5 + k / 4000, 0.5] for k in range(99)]]),
-            "stroke 2 must reach over 0.05 of the square's side",
-        ),
-    ],
-)
-def test_what_is_no_drawing_is_refused_in_one_line(text: str | bytes, message: str) -> None:
+def second(samples: object) -> str:
+    return json.dumps([FIRST, samples])
+
+
+def fifth(sample: object) -> str:
+    return second([*SECOND[:4], sample, *SECOND[5:]])
+
+
+HARDLY_MOVING = [[10 * k, 0.5 + k / 4000, 0.5] for k in range(99)]
+NUMBERS = "stroke 2, sample 5 must be three finite numbers [time, right, down], got"
+REFUSED = {
+    "the strokes must be JSON, got '[[1, 2' (Expecting ',' delimiter": "[[1, 2",
+    "the strokes must be JSON, got b'": b"\xff\xfe\xfd",
+    "the strokes must be JSON": "[" * 100000,
+    "the strokes must be a list of 2 to 20, got {'strokes': []}": '{"strokes": []}',
+    "the strokes must be a list of 2 to 20, got 1": json.dumps([FIRST]),
+    "the strokes must be a list of 2 to 20, got 25": json.dumps(25 * [FIRST]),
+    "stroke 2 must be a list of at least 10 samples, got 'drawn'": second("drawn"),
+    "stroke 2 must be a list of at least 10 samples, got 9": second(SECOND[:9]),
+    f"{NUMBERS} [1.0, 2.0]": fifth([1, 2]),
+    f"{NUMBERS} [36.0, '0.5', 0.5]": fifth([36, "0.5", 0.5]),
+    f"{NUMBERS} [36.0, None, 0.5]": fifth([36, None, 0.5]),
+    f"{NUMBERS} [36.0, True, 0.5]": fifth([36, True, 0.5]),
+    f"{NUMBERS} [36.0, nan, 0.5]": fifth([36, math.nan, 0.5]),
+    f"{NUMBERS} [36.0, inf, 0.5]": fifth([36, 10**400, 0.5]),
+    "stroke 2, sample 5 must be later than the one before, got 4321.5 after 4345.5 ms": (
+        fifth([4321.5, 0.2, 0.5])
+    ),
+    "stroke 2, sample 5 must be inside of the square, [0, 1], got [0.2, -0.5]": (
+        fifth([4350, 0.2, -0.5])
+    ),
+    "stroke 2 must last 0.3 to 20 s, got 0.192 s": second(stroke(PACES[0], 0.2)),
+    "stroke 2 must last 0.3 to 20 s, got 29.9 s": second(stroke(PACES[0], 30, 20)),
+    "stroke 2 must reach over 0.05 of the square's side": second(HARDLY_MOVING),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_is_no_drawing_is_refused_in_one_line(message: str) -> None:
     with pytest.raises(DrawingError) as error:
-        read_strokes(text)
-    assert (
-        str(error.value).startswith(message)
-        and "\n" not in str(error.value)
-        and len(str(error.value)) < 200
-    )
+        read_strokes(REFUSED[message])
+    line = str(error.value)
+    assert line.startswith(message) and "\n" not in line and len(line) < 200
 
 
 def test_flick_after_a_rest_and_unfit_time_step_are_refused() -> None:

@@ -7,11 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.fake_robot import PERIOD, FakeRobot, fake_env
@@ -21,6 +21,7 @@ from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
+Make = Callable[..., PhysicalRobotEnv]
 
 
 def constant(*action: float) -> Policy:
@@ -29,24 +30,40 @@ def constant(*action: float) -> Policy:
 
 
 @pytest.fixture
+def make_env() -> Iterator[Make]:
+    """Environments that are closed after the test."""
+    made = []
+
+    def make(*arguments: object, **settings: object) -> PhysicalRobotEnv:
+        made.append(fake_env(*arguments, **settings))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualTime:
     return virtual_time(monkeypatch)
+
+
+STILL, NAN = constant(0.0, 0.0), [float("nan"), 0.0]
 
 
 def fail(error: BaseException) -> None:
     raise error
 
 
-def test_torchrl_accepts_the_environment() -> None:
+def test_torchrl_accepts_the_environment(make_env: Make) -> None:
     torch.manual_seed(0)
-    env = fake_env(FakeRobot(), most_late=1000)
+    env = make_env(FakeRobot(), most_late=1000)
     check_env_specs(env)
-    env.close()
 
 
-def test_actions_and_readings_take_turns_and_the_robot_stops_at_the_end() -> None:
+def test_actions_and_readings_take_turns_and_the_robot_stops_at_the_end(make_env: Make) -> None:
     robot = FakeRobot()
-    env = fake_env(robot)
+    env = make_env(robot)
     rollout = env.rollout(5, constant(0.5, 1.0))
     wait_until(lambda: robot.calls[-1] == "stop")
     assert robot.calls == ["stop", "read", "read", *5 * ["send", "read"], "stop"]
@@ -54,34 +71,44 @@ def test_actions_and_readings_take_turns_and_the_robot_stops_at_the_end() -> Non
     assert rollout["observation"][:, 0].tolist() == [2, 3, 4, 5, 6]
     assert rollout["next", "observation"][:, 0].tolist() == [3, 4, 5, 6, 7]
     assert rollout["next", "measured"].all() and env.cut_short == ""
-    env.close()
 
 
-def test_steps_take_a_period_each_and_deadlines_do_not_drift(clock: VirtualTime) -> None:
+def test_guard_stops_the_robot_and_then_a_step_moves_nothing(make_env: Make) -> None:
+    robot = FakeRobot()
+    env = make_env(robot)
+    env.guard = lambda states: "too far" if states[0] > 4 else ""
+    rollout = env.rollout(10, STILL)
+    assert len(rollout) == len(robot.sent) == 3
+    assert env.cut_short == "too far" and robot.calls[-1] == "stop"
+    assert not env.step(rollout[-1].exclude("next"))["next", "measured"].any()
+    assert len(robot.sent) == 3
+
+
+def test_steps_take_a_period_each_and_deadlines_do_not_drift(
+    make_env: Make, clock: VirtualTime
+) -> None:
     """However long the policy computes, within the period."""
 
     def slow(tensordict: TensorDictBase) -> TensorDictBase:
         clock.sleep(PERIOD / 8)
-        return constant(0.0, 0.0)(tensordict)
+        return STILL(tensordict)
 
-    env = fake_env(FakeRobot())
+    env = make_env(FakeRobot())
     rollout = env.rollout(20, slow)
     times = torch.cat([rollout["time"][:1], rollout["next", "time"]]).flatten()
     torch.testing.assert_close(times.diff(), torch.full_like(times[1:], PERIOD))
     delays = rollout["next", "delay"]
     torch.testing.assert_close(delays, torch.full_like(delays, PERIOD / 8))
     assert not rollout["next", "late"].any()
-    env.close()
 
 
-def test_robot_is_stopped_two_periods_after_the_last_action() -> None:
+def test_robot_is_stopped_two_periods_after_the_last_action(make_env: Make) -> None:
     robot = FakeRobot()
-    env = fake_env(robot)
-    rollout = env.rollout(2, constant(0.0, 0.0))
+    env = make_env(robot)
+    rollout = env.rollout(2, STILL)
     wait_until(lambda: robot.calls[-1] == "stop")
     last_sent = (rollout["time"][-1] + rollout["next", "delay"][-1]).item()
     assert 1.99 * PERIOD < robot.stopped_at - last_sent < 5 * PERIOD  # a loaded machine wakes late
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -89,38 +116,30 @@ def test_robot_is_stopped_two_periods_after_the_last_action() -> None:
     [
         (lambda: fail(OSError("cable out")), "the robot failed with OSError: cable out"),
         (lambda: fail(RobotError("it is on fire")), "it is on fire"),
-        (
-            lambda: ([float("nan"), 0.0], time.monotonic()),
-            "a reading must be 2 finite numbers, got [nan, 0.0]",
-        ),
+        (lambda: (NAN, time.monotonic()), f"a reading must be 2 finite numbers, got {NAN}"),
         (lambda: ([1.0], time.monotonic()), "a reading must be 2 finite numbers, got [1.0]"),
     ],
 )
-def test_failed_reading_ends_the_rollout(fault: Callable, line: str) -> None:
+def test_failed_reading_ends_the_rollout(make_env: Make, fault: Callable, line: str) -> None:
     robot = FakeRobot({4: fault})
-    env = fake_env(robot)
-    rollout = env.rollout(10, constant(0.0, 0.0))
+    env = make_env(robot)
+    rollout = env.rollout(10, STILL)
     assert rollout["next", "measured"].flatten().tolist() == [True, True, False]
     assert rollout["next", "done"].flatten().tolist() == [False, False, True]
     assert rollout["next", "observation"].isfinite().all()
     assert env.cut_short == line and robot.calls[-1] == "stop"
     env.reset()
     assert env.cut_short == ""
-    env.close()
 
 
-def test_action_that_cannot_be_sent_ends_the_rollout() -> None:
-    class Deaf(FakeRobot):
-        def send(self, action: object) -> None:
-            raise ConnectionError("no route to the robot")
-
-    robot = Deaf()
-    env = fake_env(robot)
-    rollout = env.rollout(10, constant(0.0, 0.0))
+def test_action_that_cannot_be_sent_ends_the_rollout(make_env: Make) -> None:
+    robot = FakeRobot()
+    robot.send = lambda action: fail(ConnectionError("no route to the robot"))
+    env = make_env(robot)
+    rollout = env.rollout(10, STILL)
     assert len(rollout) == 1 and not rollout["next", "measured"].any()
     assert env.cut_short == "the robot failed with ConnectionError: no route to the robot"
     assert robot.calls[-1] == "stop"
-    env.close()
 
 
 def repeated(*_: VirtualTime) -> tuple[list[float], float]:
@@ -144,88 +163,68 @@ def slow(clock: VirtualTime) -> None:
     ],
 )
 def test_late_steps_are_told_and_three_in_a_row_end_the_rollout(
-    clock: VirtualTime, fault: Callable, reason: str
+    make_env: Make, clock: VirtualTime, fault: Callable, reason: str
 ) -> None:
     robot = FakeRobot(dict.fromkeys((3, 6, 7, 8), lambda: fault(clock)))
-    env = fake_env(robot)
-    rollout = env.rollout(20, constant(0.0, 0.0))
+    env = make_env(robot)
+    rollout = env.rollout(20, STILL)
     late = rollout["next", "late"].flatten()
     assert late[[1, 4, 5, 6]].all() and len(late) == 7 and not late[[0, 3]].any()
     assert rollout["next", "measured"].all() and robot.calls[-1] == "stop"
     assert env.cut_short == f"3 steps in a row were late; the last one: {reason}"
-    env.close()
 
 
-def test_late_action_is_told_and_held_for_a_whole_period(clock: VirtualTime) -> None:
+def test_late_action_is_told_and_held_for_a_whole_period(
+    make_env: Make, clock: VirtualTime
+) -> None:
     def hesitating(tensordict: TensorDictBase) -> TensorDictBase:
         clock.sleep(0.6 * PERIOD * (tensordict["observation"][0] == 4).item())
-        return constant(0.0, 0.0)(tensordict)
+        return STILL(tensordict)
 
-    env = fake_env(FakeRobot())
+    env = make_env(FakeRobot())
     rollout = env.rollout(4, hesitating)
     sent = rollout["time"] + rollout["next", "delay"]
     held = (rollout["next", "time"] - sent).flatten()
     assert rollout["next", "late"].flatten().tolist() == [False, False, True, False]
     torch.testing.assert_close(held, torch.full_like(held, PERIOD))
-    env.close()
 
 
-def test_policy_that_takes_too_long_finds_the_robot_stopped() -> None:
+def test_policy_that_takes_too_long_finds_the_robot_stopped(make_env: Make) -> None:
     def sleeping(tensordict: TensorDictBase) -> TensorDictBase:
         time.sleep(3 * PERIOD * (tensordict["observation"][0] == 4).item())
-        return constant(0.0, 0.0)(tensordict)
+        return STILL(tensordict)
 
     robot = FakeRobot()
-    env = fake_env(robot)
+    env = make_env(robot)
     rollout = env.rollout(10, sleeping)
     assert rollout["next", "measured"].flatten().tolist() == [True, True, False]
     assert env.cut_short == "the robot was stopped, as no action came within 0.16 s"
     assert robot.calls[-1] == "stop" and robot.calls.count("send") == 2
-    env.close()
 
 
-def test_guard_stops_the_robot() -> None:
+def test_actions_are_limited_and_what_was_sent_is_shown(make_env: Make) -> None:
     robot = FakeRobot()
-    env = fake_env(robot)
-    env.guard = lambda states: "too far" if states[0] > 4 else ""
-    assert len(env.rollout(10, constant(0.0, 0.0))) == 3
-    assert env.cut_short == "too far" and robot.calls[-1] == "stop"
-    env.close()
-
-
-def test_actions_are_limited_and_what_was_sent_is_told() -> None:
-    robot = FakeRobot()
-    env = fake_env(
+    env = make_env(
         robot, largest_change=[0.5, 1.0], holding_action=lambda state: torch.tensor([0.0, 1.0])
     )
     rollout = env.rollout(3, constant(-2.0, 9.0))
     assert robot.sent == [[-0.5, 2.0], [-1.0, 3.0], [-1.0, 3.0]]
     assert rollout["next", "sent"].tolist() == robot.sent
     assert rollout["action"].tolist() == 3 * [[-2.0, 9.0]]
-    env.close()
-
-
-def test_limits_of_the_robot_itself_are_told() -> None:
-    class Careful(FakeRobot):
-        def send(self, action: object) -> list[float]:
-            return [0.1, 0.2]
-
-    env = fake_env(Careful())
+    robot.send = lambda action: [0.1, 0.2]  # limits of the robot itself
     assert env.rollout(2, constant(0.5, 0.5))["next", "sent"].tolist() == 2 * [[0.1, 0.2]]
-    env.close()
 
 
-def test_operator_comes_before_each_rollout_and_may_end_it_all() -> None:
+def test_operator_comes_before_each_rollout_and_may_end_it_all(make_env: Make) -> None:
     robot = FakeRobot()
     answers = [lambda: None, lambda: fail(RolloutDiscarded()), lambda: fail(RunStopped())]
-    env = fake_env(robot, operator=lambda: answers.pop(0)())
-    env.rollout(1, constant(0.0, 0.0))
+    env = make_env(robot, operator=lambda: answers.pop(0)())
+    env.rollout(1, STILL)
     with pytest.raises(RolloutDiscarded):
         env.reset()
     with pytest.raises(RunStopped):
         env.reset()
     assert robot.calls[-1] == "stop"
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -235,22 +234,23 @@ def test_operator_comes_before_each_rollout_and_may_end_it_all() -> None:
         (repeated, "time stamps must advance, got 1.0 s and 0.08 s later 1.0 s"),
     ],
 )
-def test_robot_that_cannot_be_read_is_told_at_the_reset(fault: Callable, line: str) -> None:
-    env = fake_env(FakeRobot({0: fault, 1: fault}))
+def test_robot_that_cannot_be_read_is_told_at_the_reset(
+    make_env: Make, fault: Callable, line: str
+) -> None:
+    env = make_env(FakeRobot({0: fault, 1: fault}))
     with pytest.raises(RobotError, match=line):
         env.reset()
-    env.close()
 
 
 @pytest.mark.parametrize("end", ["interrupt", "action", "close", "garbage"])
 def test_robot_stops_on_every_way_out(end: str) -> None:
     robot = FakeRobot({5: lambda: fail(KeyboardInterrupt()) if end == "interrupt" else None})
     env = fake_env(robot)
-    tensordict = constant(0.0, 0.0)(env.reset())
+    tensordict = STILL(env.reset())
     env.step(tensordict)
     if end == "interrupt":
         with pytest.raises(KeyboardInterrupt):
-            env.rollout(9, constant(0.0, 0.0))
+            env.rollout(9, STILL)
     elif end == "action":
         with pytest.raises(ValueError, match="action must be 2 finite numbers"):
             env.step(constant(float("nan"), 0.0)(tensordict))
@@ -299,14 +299,13 @@ def test_robot_stops_when_its_program_ends(end: str) -> None:
     assert ended.returncode == code
 
 
-def test_no_garbage_is_collected_while_the_robot_moves() -> None:
-    env = fake_env(FakeRobot())
+def test_no_garbage_is_collected_while_the_robot_moves(make_env: Make) -> None:
+    env = make_env(FakeRobot())
     tensordict = env.reset()
-    assert not gc.isenabled()
-    env.step(constant(0.0, 0.0)(tensordict))
-    assert not gc.isenabled()
+    for _ in range(2):
+        assert not gc.isenabled()
+        env.step(STILL(tensordict))
     wait_until(gc.isenabled)
-    env.close()
 
 
 def test_handlers_of_signals_come_back() -> None:
@@ -317,39 +316,25 @@ def test_handlers_of_signals_come_back() -> None:
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        ({"low": [0.0], "high": [1.0, 2.0]}, "low must be below high"),
-        ({"low": [0.0, 3.0]}, r"low must be below high, got \[0.0, 3.0\] and \[1.0, 3.0\]"),
-        ({"high": [1.0, float("inf")]}, "high must be a list of finite numbers"),
-        ({"action_names": ["one"]}, "action_names must be 2 words, got one"),
-        ({"control_period": 0.0}, "control_period must be positive and finite"),
-        ({"largest_change": [1.0, 1.0]}, "largest_change needs holding_action"),
-        ({"largest_change": [1.0, -1.0]}, "largest_change must be 2 positive numbers"),
-    ],
-)
-def test_wrong_settings_are_told(settings: dict, line: str) -> None:
+WRONG = [
+    ({"low": [0.0], "high": [1.0, 2.0]}, "low must be below high"),
+    ({"low": [0.0, 3.0]}, r"low must be below high, got \[0.0, 3.0\] and \[1.0, 3.0\]"),
+    ({"high": [1.0, float("inf")]}, "high must be a list of finite numbers"),
+    ({"action_names": ["one"]}, "action_names must be 2 words, got one"),
+    ({"control_period": 0.0}, "control_period must be positive and finite"),
+    ({"largest_change": [1.0, 1.0]}, "largest_change needs holding_action"),
+    ({"largest_change": [1.0, -1.0]}, "largest_change must be 2 positive numbers"),
+]
+
+
+@pytest.mark.parametrize(("settings", "line"), WRONG)
+def test_wrong_settings_are_refused(settings: dict, line: str) -> None:
     with pytest.raises(ValueError, match=line):
         fake_env(FakeRobot(), **settings)
 
 
-def test_actions_have_names_and_units() -> None:
-    env = fake_env(FakeRobot(), action_names=["hip", "knee"], action_units=["rad", "N·m"])
+def test_actions_have_names_and_units(make_env: Make) -> None:
+    env = make_env(FakeRobot(), action_names=["hip", "knee"], action_units=["rad", "N·m"])
     assert (env.action_names, env.action_units) == (("hip", "knee"), ("rad", "N·m"))
-    env.close()
-    plain = fake_env(FakeRobot())
+    plain = make_env(FakeRobot())
     assert (plain.action_names, plain.action_units) == (("0", "1"), ("", ""))
-    plain.close()
-
-
-def test_step_after_the_end_moves_nothing() -> None:
-    robot = FakeRobot({3: lambda: fail(OSError("cable out"))})
-    env = fake_env(robot)
-    rollout = env.rollout(9, constant(0.0, 0.0))
-    sent = len(robot.sent)
-    last = rollout[-1].exclude("next")
-    assert isinstance(last, TensorDict) and isinstance(env, PhysicalRobotEnv)
-    assert not env.step(last)["next", "measured"].any()
-    assert len(robot.sent) == sent
-    env.close()

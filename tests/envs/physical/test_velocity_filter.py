@@ -23,14 +23,9 @@ def velocities(positions: Tensor, time_constant: float) -> Tensor:
 
 
 @each_memory
-def test_constant_velocity_is_told_exactly(time_constant: float) -> None:
+def test_velocity_is_exact_if_constant_and_late_by_the_delay_if_not(time_constant: float) -> None:
     times = PERIOD * torch.arange(1000, dtype=torch.float64)
     assert velocities(0.3 - 2 * times, time_constant)[-1] == pytest.approx(-2, abs=1e-9)
-
-
-@each_memory
-def test_velocity_is_late_by_the_delay_at_constant_acceleration(time_constant: float) -> None:
-    times = PERIOD * torch.arange(1000, dtype=torch.float64)
     late = 3 * times[-1] - velocities(1.5 * times**2, time_constant)[-1]
     delay = VelocityFilter(time_constant).delay(PERIOD)
     assert late.item() == pytest.approx(3 * delay, abs=1e-8)

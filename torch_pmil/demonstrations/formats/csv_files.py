@@ -17,12 +17,13 @@ from torch_pmil.demonstrations.errors import (
     TEXT_BYTES,
     DemonstrationError,
     check_count,
-    content_of,
+    check_names,
     readable,
     within,
 )
-from torch_pmil.demonstrations.formats.entries import choose, natural_order
+from torch_pmil.demonstrations.formats.entries import Entry, choose, natural_order, recordings_of
 from torch_pmil.demonstrations.recordings import Recordings
+from torch_pmil.files import read_bytes
 
 TARGET_PREFIX = "target "  # of the columns that hold a target
 
@@ -45,7 +46,7 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     leading = ("demonstration", "time")
     header, rows = _folder(path) if path.is_dir() else _file(path, leading)
     entries, targets = _columns(header, keys)
-    read = [header.index(name) for name in ("time", *entries, *targets)]
+    read = [header.index(name) for name in ("time", *(entry.name for entry in entries), *targets)]
     parts: dict[str, list[_Row]] = {}
     for row in rows:
         parts.setdefault(row.cells[0].strip(), []).append(row)
@@ -56,13 +57,13 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     times, values, shown = zip(
         *(np.split(table, [1, 1 + len(entries)], axis=1) for table in tables), strict=True
     )
-    return Recordings(
-        tuple(parts),
-        tuple(torch.from_numpy(column[:, 0]) for column in times),
-        tuple(map(torch.from_numpy, values)),
-        tuple(entries),
-        _targets(shown, list(parts.values()), targets) if targets else None,
-        tuple(name.removeprefix(TARGET_PREFIX).strip() for name in targets),
+    return recordings_of(
+        parts,
+        (column[:, 0] for column in times),
+        values,
+        entries,
+        targets=_targets(shown, list(parts.values()), targets) if targets else None,
+        target_names=tuple(name.removeprefix(TARGET_PREFIX).strip() for name in targets),
         format="CSV",
         places=tuple(tuple(row.place for row in part) for part in parts.values()),
     )
@@ -70,7 +71,7 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def _file(path: Path, leading: tuple[str, ...], before: int = 0) -> tuple[list[str], list[_Row]]:
     """Header, which begins with ``leading``, and rows of a file, after cells of other files."""
-    content = content_of(path, TEXT_BYTES)
+    content = read_bytes(path, TEXT_BYTES)
     cells = content.count(b",") + max(content.count(end) for end in (b"\n", b"\r"))
     check_count("cells", before + cells)
     with readable("CSV file", csv.Error):
@@ -110,15 +111,12 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
     return ["demonstration", *header], rows
 
 
-def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Names of the entries and targets that are read."""
+def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[Entry], list[str]]:
+    """The entries and the names of targets that are read."""
     targets = [name for name in header[2:] if name.startswith(TARGET_PREFIX)]
     names = [name for name in header[2:] if name not in targets]
-    if len(set(names)) != len(names):
-        raise DemonstrationError(
-            f"names must be {len(names)} different names, one per column, got {tuple(names)}"
-        )
-    return [entry.name for entry in choose({name: [name] for name in names}, keys, names)], targets
+    check_names(names, len(names))
+    return choose({name: [name] for name in names}, keys, names), targets
 
 
 def _targets(

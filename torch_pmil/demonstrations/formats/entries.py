@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from torch_pmil.demonstrations.errors import DemonstrationError, check_count
+from torch_pmil.demonstrations.recordings import Recordings
 
 Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a file holds
 
@@ -79,6 +81,23 @@ def natural_order(name: str) -> list[tuple[int, str]]:
         ['demo_9', 'demo_10']
     """
     return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
+
+
+def recordings_of(
+    labels: Iterable[object],
+    times: Iterable[np.ndarray],
+    values: Iterable[np.ndarray],
+    entries: Sequence[Entry],
+    **others: Any,
+) -> Recordings:
+    """Recordings of the chosen entries from arrays; ``others`` are further fields."""
+    return Recordings(
+        tuple(map(str, labels)),
+        tuple(map(torch.from_numpy, times)),
+        tuple(map(torch.from_numpy, values)),
+        tuple(entry.name for entry in entries),
+        **others,
+    )
 
 
 def _listed(groups: Groups) -> str:

@@ -14,18 +14,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from torch_pmil.demonstrations.errors import (
+    SET_BYTES,
     DemonstrationError,
     check_count,
-    opened_set,
     optional,
     readable,
 )
-from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
+from torch_pmil.demonstrations.formats.entries import (
+    choose,
+    columns_of,
+    names_of,
+    natural_order,
+    recordings_of,
+)
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import MIB, read_json, short
+from torch_pmil.files import MIB, opened, read_json, short
 
 
 class _Layout(NamedTuple):
@@ -62,10 +67,8 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
     kind = readable("HDF5 file", zlib.error)
-    with opened_set(path) as file, kind, h5py.File(file) as content:
-        layout = _layout(content)
-        root = _root(content, layout)
-        labels = _labels(root, layout)
+    with opened(path, SET_BYTES) as file, kind, h5py.File(file) as content:
+        layout, root, labels = _layout(content)
         step = time_step if time_step is not None else _time_step(root)
         first = _datasets(_member(root, f"{labels[0]}/{layout.observed}"))
         groups = {key: names_of(key, data.shape) for key, data in first.items()}
@@ -73,16 +76,10 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         needed = sorted({entry.key for entry in entries})
         shown = [_needed(root, label, layout.observed, first, needed) for label in labels]
         _check_storage([one[key] for one in shown for key in needed])
-        arrays = [_arrays(label, one) for label, one in zip(labels, shown, strict=True)]
-    values = [torch.from_numpy(columns_of(one, entries)) for one in arrays]
-    times = tuple(step * torch.arange(len(one), dtype=torch.float64) for one in values)
-    return Recordings(
-        tuple(labels),
-        times,
-        tuple(values),
-        tuple(entry.name for entry in entries),
-        format=layout.format,
-    )
+        arrays = [{key: data[()] for key, data in one.items()} for one in shown]
+    values = [columns_of(one, entries) for one in arrays]
+    times = (step * np.arange(len(one), dtype=np.float64) for one in values)
+    return recordings_of(labels, times, values, entries, format=layout.format)
 
 
 def _main_file(folder: Path) -> Path:
@@ -96,27 +93,19 @@ def _main_file(folder: Path) -> Path:
     return folder / "main_data.hdf5"
 
 
-def _layout(content: Any) -> _Layout:
+def _layout(content: Any) -> tuple[_Layout, Any, list[str]]:
+    """The layout, its root, and names of the demonstrations in order."""
     for layout in (ROBOMIMIC, MINARI):
-        if _labels(_root(content, layout), layout):
-            return layout
+        root = _member(content, layout.root)
+        held = root if hasattr(root, "keys") else ()
+        labels = [name for name in held if name.startswith(layout.prefix)]
+        check_count("demonstrations", len(labels))
+        if labels:
+            return layout, root, sorted(labels, key=natural_order)
     raise DemonstrationError(
         "an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found "
         f"{short(sorted(content))}"
     )
-
-
-def _root(content: Any, layout: _Layout) -> Any:
-    return _member(content, layout.root) if layout.root else content
-
-
-def _labels(root: Any, layout: _Layout) -> list[str]:
-    """Names of the demonstrations in order."""
-    if not hasattr(root, "keys"):
-        return []
-    labels = [name for name in root if name.startswith(layout.prefix)]
-    check_count("demonstrations", len(labels))
-    return sorted(labels, key=natural_order)
 
 
 def _time_step(root: Any) -> float:
@@ -150,8 +139,8 @@ def _datasets(observed: Any) -> dict[str, Any]:
 def _needed(
     root: Any, label: str, observed: str, first: dict[str, Any], keys: Sequence[str]
 ) -> dict[str, Any]:
-    """The data sets of a demonstration that are read."""
-    datasets = {}
+    """The data sets of a demonstration that are read, in one shape and of one length."""
+    datasets: dict[str, Any] = {}
     for key in keys:
         path = f"{label}/{observed}" if key == observed else f"{label}/{observed}/{key}"
         data = _member(root, path)
@@ -161,19 +150,11 @@ def _needed(
                 f"{label} must hold {key} in the shape of the first demonstration"
             )
         datasets[key] = data
-    return datasets
-
-
-def _arrays(label: str, datasets: dict[str, Any]) -> dict[str, np.ndarray]:
-    arrays = {key: data[()] for key, data in datasets.items()}
-    first = next(iter(arrays))
-    for key, array in arrays.items():
-        if len(array) != len(arrays[first]):
+        if len(data) != (samples := len(datasets[keys[0]])):
             raise DemonstrationError(
-                f"{label}, {key} must have {len(arrays[first])} samples like {first}, got "
-                f"{len(array)}"
+                f"{label}, {key} must have {samples} samples like {keys[0]}, got {len(data)}"
             )
-    return arrays
+    return datasets
 
 
 def _member(group: Any, path: str) -> Any:
@@ -182,7 +163,7 @@ def _member(group: Any, path: str) -> Any:
     Raises DemonstrationError at a link, which may lead to another file.
     """
     h5py = optional("h5py")
-    for part in path.split("/"):
+    for part in filter(None, path.split("/")):
         link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
         if link is None:
             return None

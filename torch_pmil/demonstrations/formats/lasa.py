@@ -18,7 +18,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
@@ -26,12 +25,11 @@ from torch_pmil.demonstrations.errors import (
     TEXT_BYTES,
     DemonstrationError,
     check_count,
-    content_of,
     readable,
 )
-from torch_pmil.demonstrations.formats.entries import choose
+from torch_pmil.demonstrations.formats.entries import choose, recordings_of
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import MIB
+from torch_pmil.files import MIB, read_bytes
 
 GROUPS = {"pos": ("x", "y"), "vel": ("dx", "dy")}
 UNITS = {"pos": "m", "vel": "m/s"}
@@ -52,7 +50,7 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
         raise DemonstrationError(
             f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}"
         )
-    file = content_of(path, TEXT_BYTES)
+    file = read_bytes(path, TEXT_BYTES)
     with readable("MATLAB file", zlib.error, struct.error, MatReadError):
         _check_arrays(file)
         content = loadmat(io.BytesIO(file), variable_names=["demos"], simplify_cells=True)
@@ -61,18 +59,17 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     if not strokes:
         raise DemonstrationError("a LASA file must hold a list demos, found none")
     entries = choose(GROUPS, keys, ["pos"])
-    labels = tuple(str(number) for number in range(1, len(strokes) + 1))
+    labels = [str(number) for number in range(1, len(strokes) + 1)]
     read = sorted({"pos", *(entry.key for entry in entries)})
     arrays = [_stroke(label, stroke, read) for label, stroke in zip(labels, strokes, strict=True)]
-    values = [
-        METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)
-        for stroke in arrays
-    ]
-    return Recordings(
+    return recordings_of(
         labels,
-        tuple(torch.from_numpy(stroke["t"]) for stroke in arrays),
-        tuple(map(torch.from_numpy, values)),
-        tuple(entry.name for entry in entries),
+        (stroke["t"] for stroke in arrays),
+        (
+            METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)
+            for stroke in arrays
+        ),
+        entries,
         units=tuple(UNITS[entry.key] for entry in entries),
         format="LASA handwriting",
     )

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from torch_pmil.demonstrations.errors import (
+    SET_BYTES,
     DemonstrationError,
     check_count,
-    opened_set,
     optional,
     readable,
     within,
@@ -23,9 +22,10 @@ from torch_pmil.demonstrations.formats.entries import (
     columns_of,
     names_of,
     natural_order,
+    recordings_of,
 )
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import read_json, short
+from torch_pmil.files import opened, read_json, short
 
 INDEX = ("episode_index", "timestamp")  # columns that each file has
 OBSERVED = "observation"  # prefix of the columns that may be read; no actions
@@ -66,12 +66,8 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     check_count("demonstrations", len(labels))
     values = np.split(columns_of(frames, entries)[order], starts[1:])
     times = [_times(own, info.get("fps")) for own in np.split(stamps[order], starts[1:])]
-    return Recordings(
-        tuple(f"{label:.0f}" for label in labels),
-        tuple(map(torch.from_numpy, times)),
-        tuple(map(torch.from_numpy, values)),
-        tuple(entry.name for entry in entries),
-        format="LeRobot",
+    return recordings_of(
+        (f"{label:.0f}" for label in labels), times, values, entries, format="LeRobot"
     )
 
 
@@ -88,26 +84,22 @@ def _info(folder: Path) -> dict[str, Any]:
 
 
 def _tables(files: Sequence[Path], root: Path) -> list[dict[str, np.ndarray]]:
+    """Readable columns of each file: (T,) or (T, width) each."""
     tables: list[dict[str, np.ndarray]] = []
     for file in files:
-        tables.append(_read(file, root))
+        with within(file.relative_to(root)) if file != root else nullcontext():
+            table = _table(file)
+            tables.append({name: _array(name, table[name]) for name in table.column_names})
         check_count("numbers", sum(column.size for table in tables for column in table.values()))
     return tables
-
-
-def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
-    """Readable columns of a file: (T,) or (T, width) each."""
-    with within(file.relative_to(root)) if file != root else nullcontext():
-        table = _table(file)
-        return {name: _array(name, table[name]) for name in table.column_names}
 
 
 def _table(file: Path) -> Any:
     pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
     with (
-        opened_set(file) as opened,
+        opened(file, SET_BYTES) as raw,
         readable("Parquet file", pyarrow.ArrowException),
-        parquet.ParquetFile(opened) as content,
+        parquet.ParquetFile(raw) as content,
     ):
         schema = content.schema_arrow
         missing = set(INDEX) - set(schema.names)

@@ -17,12 +17,11 @@ from torch_pmil.demonstrations.errors import (
     FILE_BYTES,
     DemonstrationError,
     check_count,
-    content_of,
     readable,
 )
 from torch_pmil.demonstrations.formats.entries import choose
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import read_zip
+from torch_pmil.files import read_bytes, read_zip
 
 ARRAYS = ("positions", "time_step", "names", "targets", "target_names")
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -47,7 +46,7 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     """The demonstrations of an NPZ file, with all entries or those that keys name."""
-    content = content_of(path)
+    content = read_bytes(path, FILE_BYTES)
     with readable("NPZ file without object arrays", struct.error, tokenize.TokenError):
         members = read_zip(content, FILE_BYTES, stored=False)
         arrays = {

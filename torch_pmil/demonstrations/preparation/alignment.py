@@ -36,23 +36,19 @@ def align(
 
     Dynamic time warping matches each to the medoid, the one with the least sum of distances to all.
     It compares positions in units of their spread; velocities would differ in a slower copy of a
-    motion. The common time of a moment is the mean of its times, so the motion lasts as long as the
-    demonstrations do on average. The warps :math:`w_n` from common time to that of a demonstration
-    are smooth and monotone: a cubic through ``KNOTS`` averages of the path. With a ``reference``,
-    all take over its timing and length.
-
-    Positions are warped to :math:`x_n(w_n(s))`, velocities to :math:`\dot x_n(w_n(s)) \,
-    \dot w_n(s)`, in their unit. The time step changes only by rounding the duration to a whole
-    number of steps.
+    motion. The common time of a moment is the mean of its times. The warps :math:`w_n` from common
+    time to that of a demonstration are smooth and monotone cubics through ``KNOTS`` averages of the
+    path. Positions are warped to :math:`x_n(w_n(s))`, velocities to :math:`\dot x_n(w_n(s)) \,
+    \dot w_n(s)`. The time step changes only by rounding the duration to a whole number of steps.
 
     Args:
         trajectories: N of them, (T_n, M) each, at one time step.
         velocities: columns that are rates of change; negative ones count from the end.
         window: largest shift of times, as a fraction of the longest trajectory, beyond the
             difference in length.
-        reference: number of the trajectory that gives the timing; None for the mean timing.
-        isotropic: whether the positions are coordinates of one place and share one spread, so that
-            the result turns with the axes.
+        reference: number of the trajectory that gives timing and length; None for their means.
+        isotropic: whether positions share one spread, as coordinates of one place do, so that the
+            result turns with the axes.
 
     Returns:
         (N, T, M), float64, where T - 1 is the mean of T_n - 1, or that of the reference.
@@ -267,11 +263,10 @@ def _check_trajectory(name: str, trajectory: Tensor) -> None:
             f"{name} must have shape (samples, columns) with at least 3 samples, got "
             f"{tuple(trajectory.shape)}"
         )
-    if not trajectory.isfinite().all():
-        row, column = (~trajectory.isfinite()).nonzero()[0].tolist()
+    for row, column in (~trajectory.isfinite()).nonzero()[:1].tolist():
+        number = trajectory[row, column].item()
         raise AlignmentError(
-            f"{name} must be finite, got {trajectory[row, column].item()} in sample {row}, column "
-            f"{column}"
+            f"{name} must be finite, got {number} in sample {row}, column {column}"
         )
 
 

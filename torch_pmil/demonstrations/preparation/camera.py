@@ -35,12 +35,7 @@ def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor
         >>> plane_coordinates(torch.tensor([[300.0, 700.0]]), corners, sheet)
         tensor([[0.1000, 0.1000]], dtype=torch.float64)
     """
-    if (
-        markers.ndim != 2
-        or markers.shape != places.shape
-        or markers.shape[1] != 2
-        or len(markers) < FEWEST_MARKERS
-    ):
+    if markers.shape[1:] != (2,) or markers.shape != places.shape or len(markers) < FEWEST_MARKERS:
         raise AlignmentError(
             f"markers and places must be (K, 2) with K >= {FEWEST_MARKERS}, got "
             f"{tuple(markers.shape)} and {tuple(places.shape)}"

@@ -35,7 +35,7 @@ def main() -> None:
             check_film_name(out)
             player = load_player(arguments.run or SHIPPED)
             if arguments.out is None and player.in_simulator and has_screen():
-                name = player.experiment.name
+                name = player.task.name
                 print(f"{name}: close the window, or press Ctrl-C, to end", flush=True)
                 player.show(arguments.seed)
             else:
@@ -59,8 +59,8 @@ def parsed() -> Namespace:
 def film(player: Player, path: Path, starts: int, seed: int) -> None:
     """Write the file, and print what is in it."""
     succeeded = player.film(path, starts, seed)
-    name = player.experiment.name
+    name = player.task.name
     motions = f"{starts} {'motion' if starts == 1 else 'motions'}"
-    seconds = player.experiment.horizon * player.policy.control_period
+    seconds = player.task.horizon * player.policy.control_period
     result = f"{motions} of {seconds:g} s from a fresh start, {succeeded} of {starts} with success"
     print(f"wrote {path}: {name}, {result}")

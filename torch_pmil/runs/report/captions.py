@@ -7,12 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Caption:
-    """Title and text of a picture.
-
-    Args:
-        title: a few words.
-        text: what is drawn, and what it looks like when all is right.
-    """
+    """Title of a picture, and what it looks like when all is right."""
 
     title: str
     text: str
@@ -97,12 +92,9 @@ ALONE = {  # of runs that are judged by the robot's own rollouts alone
 
 
 def caption_of(name: str, targets: list[str], alone: bool = False) -> Caption:
-    """The caption of a figure by its name; ``..._target_0`` names a figure of one target.
+    """The caption of a figure by its name; ``..._target_0`` names a figure of the first target.
 
-    Args:
-        name: of the figure's file.
-        targets: names of the targets, in their order.
-        alone: whether the run is judged by the robot's own rollouts alone.
+    ``alone`` is for a run that is judged by the robot's own rollouts alone.
 
     Example:
         >>> caption_of("policy_target_1", ["y = 0", "y = 1"]).title

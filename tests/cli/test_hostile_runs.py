@@ -81,9 +81,8 @@ def test_number_beyond_all_bounds_is_damage(tmp_path: Path, entry: str, number: 
     with pytest.raises(RunError, match=r"summary\.json is damaged: ") as error:
         read_summary(tmp_path)
     assert len(str(error.value)) <= 1000
-    assert ("must be JSON, got 1e999, which is not finite" in str(error.value)) == (
-        number == "1e999"
-    )
+    if number == "1e999":
+        assert "must be JSON, got 1e999, which is not finite" in str(error.value)
 
 
 def test_rows_of_a_large_table_are_counted_at_once(tmp_path: Path) -> None:

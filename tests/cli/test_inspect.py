@@ -79,7 +79,7 @@ def test_summary_has_number_lengths_rate_ranges_and_targets_and_says_if_steps_ar
     shown = recordings(*motions, targets=[0, 0, 1, 1])
     lines = [" ".join(line.split()) for line in describe(shown).splitlines()]
     numbers = ["demonstrations 4", "samples 11 to 21", "duration 1 to 2 s"]
-    assert lines[:6] == [*numbers, "rate 10 Hz", "targets 2 of place", "format CSV"]
+    assert lines[:6] == ["format CSV", *numbers, "rate 10 Hz", "targets 2 of place"]
     assert lines[8].startswith("x ? 0 1")
     uneven = (np.array([0, 0.1, 0.25]), np.zeros((3, 1)))
     assert ", steps uneven" in describe(recordings(uneven, uneven))

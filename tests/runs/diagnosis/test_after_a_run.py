@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,21 +106,17 @@ def diagnose(
     return {reason.cause: reason.message for reason in reasons}
 
 
-@pytest.fixture(scope="module")
-def policy() -> RBFPolicy:
-    return tracking_policy(swing_up())
+@cache
+def learned() -> tuple[RBFPolicy, GPDynamics]:
+    """A policy of the swing-up, and a model of its very motions."""
+    policy = tracking_policy(swing_up())
+    return policy, model_of(swing_up(), policy)
 
 
-@pytest.fixture(scope="module")
-def dynamics(policy: RBFPolicy) -> GPDynamics:
-    """A model of the very motions of that policy."""
-    return model_of(swing_up(), policy)
-
-
-def test_robot_that_changed_makes_its_model_wrong(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_robot_that_changed_makes_its_model_wrong() -> None:
     """The second link is heavier than when the model was fitted."""
     heavier = swing_up(make_env=partial(DoublePendulumEnv, HEAVY))
-    found = diagnose(heavier, policy, dynamics)
+    found = diagnose(heavier, *learned())
     causes, message = list(found), found["model not right"]
     assert causes.index("model not right") < causes.index("search stuck")
     assert "too little experience" not in found
@@ -128,11 +124,9 @@ def test_robot_that_changed_makes_its_model_wrong(policy: RBFPolicy, dynamics: G
     assert re.search(r"the rollouts leave the prediction at 0\.\d0 s, first in d?q[12];", message)
 
 
-def test_model_with_lengthscales_that_are_too_long_is_wrong(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
+def test_model_with_lengthscales_that_are_too_long_is_wrong() -> None:
     """It is too sure of itself between its data."""
-    sure = swing_up().make_dynamics()
+    (policy, dynamics), sure = learned(), swing_up().make_dynamics()
     sure.load_state_dict(dynamics.state_dict())
     sure.gp.covar_module.base_kernel.lengthscale = 2 * sure.gp.covar_module.base_kernel.lengthscale
     sure.set_data(dynamics.train_inputs, dynamics.train_targets)
@@ -140,7 +134,8 @@ def test_model_with_lengthscales_that_are_too_long_is_wrong(
     assert int(message.partition(" %")[0]) < 70
 
 
-def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPolicy) -> None:
+def test_model_of_the_first_steps_alone_knows_little_of_the_others() -> None:
+    policy, _ = learned()
     first_steps = model_of(swing_up(), policy, steps=3)
     found = diagnose(swing_up(), policy, first_steps)
     share, when, data = re.match(
@@ -152,7 +147,7 @@ def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPo
 
 @pytest.mark.parametrize(("delay", "remembered"), [(0.0, 0), (0.1, 0), (0.1, 1)])
 def test_torques_that_act_late_are_named_until_the_state_holds_them(
-    policy: RBFPolicy, dynamics: GPDynamics, delay: float, remembered: int
+    delay: float, remembered: int
 ) -> None:
     """Random torques, which do not predict each other."""
     late = with_delay(delay)
@@ -165,7 +160,7 @@ def test_torques_that_act_late_are_named_until_the_state_holds_them(
     if delay and not remembered:
         assert reason.cause == "robot acts late" and "past_actions=1" in reason.message
         assert reason.message.startswith("the action 0.10 s before explains the motion ")
-        found = diagnose(late, policy, dynamics, recorded=[moved])
+        found = diagnose(late, *learned(), recorded=[moved])
         assert list(found).index("robot acts late") < list(found).index("search stuck")
     else:
         assert reason is None
@@ -187,14 +182,12 @@ def test_velocity_that_is_not_measured_is_named_but_too_short_rollouts_are_no_ev
     assert evidence_of_the_past(weak_swing_up(1.0, 5), "difference", one) is None
 
 
-def test_search_is_stuck_where_the_kl_rises_and_wants_more_trials_if_it_still_came_further(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
+def test_search_is_stuck_where_the_kl_rises_or_wants_more_trials_if_it_came_further() -> None:
     task = swing_up()
-    ((cause, message),) = diagnose(task, policy, dynamics).items()  # as the model is right
+    ((cause, message),) = diagnose(task, *learned()).items()  # as the model is right
     assert cause == "search stuck"
     with torch.no_grad():
-        kl = task.make_loss(policy, dynamics).per_step(task.initial)
+        kl = task.make_loss(*learned()).per_step(task.initial)
     step = int(re.search(r"\(step (\d+) of 25\)", message)[1])
     assert kl[step - 1] > task.method.search.trust_threshold >= kl[: step - 1].max()
     assert message.startswith(
@@ -205,21 +198,19 @@ def test_search_is_stuck_where_the_kl_rises_and_wants_more_trials_if_it_still_ca
     assert re.search(rf"most in [xy][12] \(predicted {belief}, demonstrated {belief}\)", message)
     assert "step 5, 8, 8, 8, 8: 3 trials led them no further, so try another seed" in message
     for horizons in ((5, 5), (5, 8, 8, 8, 11)):
-        message = diagnose(task, policy, dynamics, horizons)["search stuck"]
+        message = diagnose(task, *learned(), horizons)["search stuck"]
         assert "more trials may lead them further" in message
 
 
-def test_wrong_demonstrations_come_first_and_few_last(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
+def test_wrong_demonstrations_come_first_and_few_last() -> None:
     positions = swing_up().demonstrations.positions
-    cause, message = next(iter(diagnose(shown(1.3 * positions), policy, dynamics).items()))
+    cause, message = next(iter(diagnose(shown(1.3 * positions), *learned()).items()))
     assert cause == "demonstrations out of reach"
     assert message.startswith("demonstration 0 leaves the workspace: at ")
     assert message.endswith(" (and 4 more of this kind)")
     both = torch.cat([positions, positions * torch.tensor([-1.0, 1.0, -1.0, 1.0])])
-    assert next(iter(diagnose(shown(both), policy, dynamics))) == "contradictory demonstrations"
-    found = list(diagnose(shown(positions[:2]), policy, dynamics))
+    assert next(iter(diagnose(shown(both), *learned()))) == "contradictory demonstrations"
+    found = list(diagnose(shown(positions[:2]), *learned()))
     assert (found[0], found[-1]) == ("search stuck", "too few demonstrations")
 
 
@@ -245,28 +236,26 @@ def test_worst_of_several_targets_is_named() -> None:
     assert any(message.startswith(begun) for message in found.values())
 
 
-def test_pilco_is_stuck_where_its_prediction_is_wide(policy: RBFPolicy) -> None:
+def test_pilco_is_stuck_where_its_prediction_is_wide() -> None:
     task = load_experiment("double_pendulum_pilco")
-    found = diagnose(task, new_policy(task), model_of(swing_up(), policy, steps=6))
+    found = diagnose(task, new_policy(task), model_of(swing_up(), learned()[0], steps=6))
     assert "the cost of the predicted spread of a step" in found["search stuck"]
     assert "demonstrated" not in found["search stuck"]
 
 
-def test_success_has_nothing_to_explain(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_success_has_nothing_to_explain() -> None:
     task = swing_up()
-    errors = task.error(rollouts(task, policy, 20, 2)).sort().values
+    errors = task.error(rollouts(task, learned()[0], 20, 2)).sort().values
     missed = int((1 - LEARNED) * 20)
     enough, few = errors[-1 - missed].item(), errors[-2 - missed].item()
-    assert diagnose(replace(task, tolerance=enough), policy, dynamics, starts=20) == {}
-    assert diagnose(replace(task, tolerance=few), policy, dynamics, starts=20) != {}
+    assert diagnose(replace(task, tolerance=enough), *learned(), starts=20) == {}
+    assert diagnose(replace(task, tolerance=few), *learned(), starts=20) != {}
 
 
-def test_failure_that_nothing_explains_is_left_to_the_criterion(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
+def test_failure_that_nothing_explains_is_left_to_the_criterion() -> None:
     task = swing_up()
     content = task.with_settings(**{"search.trust_threshold": 1e6})
-    ((cause, message),) = diagnose(content, policy, dynamics).items()
+    ((cause, message),) = diagnose(content, *learned()).items()
     assert cause == "success criterion"
     assert f"yet {STARTS} of {STARTS} rollouts have an error above 0.25" in message
     assert re.search(
@@ -278,8 +267,6 @@ def test_failure_that_nothing_explains_is_left_to_the_criterion(
     ("successes", "cause"), [(495, "chance of few starts"), (500, "success criterion")]
 )
 def test_failures_that_are_no_rare_chance_are_left_to_it(
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
     monkeypatch: pytest.MonkeyPatch,
     successes: int,
     cause: str,
@@ -287,9 +274,9 @@ def test_failures_that_are_no_rare_chance_are_left_to_it(
     """Of 20 starts, two or more fail by chance in 6.5 % of measurements, and in 0.6 %."""
     monkeypatch.setattr(Promise, "predicted", lambda *asked: PredictedSuccess(successes))
     task = swing_up()
-    errors = task.error(rollouts(task, policy, 20, 2)).sort().values
+    errors = task.error(rollouts(task, learned()[0], 20, 2)).sort().values
     content = task.with_settings(tolerance=errors[-3].item(), **{"search.trust_threshold": 1e6})
-    assert list(diagnose(content, policy, dynamics, starts=20)) == [cause]
+    assert list(diagnose(content, *learned(), starts=20)) == [cause]
 
 
 @pytest.fixture

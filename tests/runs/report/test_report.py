@@ -91,17 +91,11 @@ def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_pat
     assert re.findall(r'width="(\d+)" height="(\d+)"', page) == 5 * [("200", "100")]
 
 
-@pytest.mark.parametrize(
-    ("rate", "said"),
-    [
-        (1.0, "It learned: 20 of"),
-        (0.5, "It learned in part: 10 of"),
-        (0.0, "It did not learn: none of"),
-    ],
-)
-def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, said: str) -> None:
-    page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate": rate}))
-    assert f">{said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
+def test_headline_says_in_words_whether_it_learned(tmp_path: Path) -> None:
+    of = {1.0: "It learned: 20", 0.5: "It learned in part: 10", 0.0: "It did not learn: none"}
+    for rate, said in of.items():
+        page = page_of(run_of(tmp_path / said, OLD | {"saved_success_rate": rate}))
+        assert f">{said} of 20 fresh starts succeed, after 5 s of experience.</h1>" in page
 
 
 ALONE = MEASURED | {"success_rate": None, "n_eval": 0, "cut_short": "", "own_success": True}
@@ -170,15 +164,10 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
         ["tau", "25 %"],
     ):
         assert row in rows
-    assert "objective (nats)" in rows[0]
-
-
-def test_own_error_is_shown_in_tolerances_and_without_one_as_it_is(tmp_path: Path) -> None:
+    assert "objective (nats)" in rows[0] and "own error (unit of the task)" in rows[0]
     given = OLD | {"settings": {"tolerance": 0.2}}
-    with_tolerance = rows_of(page_of(run_of(tmp_path / "a", given)))
-    assert "own error, of the tolerance" in with_tolerance[0] and "150 %" in with_tolerance[1]
-    without = rows_of(page_of(run_of(tmp_path / "b", OLD)))
-    assert "own error (unit of the task)" in without[0] and "0.3" in without[1]
+    rows = rows_of(page_of(run_of(tmp_path / "with a tolerance", given)))
+    assert "own error, of the tolerance" in rows[0] and "150 %" in rows[1]
 
 
 def test_every_setting_that_is_a_number_has_a_unit() -> None:

@@ -28,10 +28,9 @@ HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended beca
 
 
 def headline(runs: list[dict]) -> dict[str, float]:
-    """Main numbers over runs.
+    """Main numbers over runs; the experience is that of all rollouts of the robot.
 
-    ``median_experience_s`` and ``max_experience_s`` count all rollouts of the robot. Runs of a
-    method that predicts nothing have no coverage.
+    Runs of a method that predicts nothing have no coverage.
     """
     experience = [run["experience_s"] for run in runs]
     coverage = [run[COVERAGE] for run in runs if COVERAGE in run]

@@ -40,12 +40,7 @@ LATEST = 3  # trials in which a search should come further
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a run did not learn.
-
-    Args:
-        cause: its name, one of a few.
-        message: one or two sentences with the numbers, and what to do about it.
-    """
+    """Why a run did not learn: one of a few causes, the numbers, and what to do about it."""
 
     cause: str
     message: str
@@ -221,11 +216,9 @@ def check_past(evidence: PastEvidence) -> Reason | None:
 def check_experience(
     unknown: Tensor, data: int, time_step: float, settings: Mapping[str, Any]
 ) -> Reason | None:
-    """A reason if the experience is far from where the policy goes.
+    """A reason if the experience, so many transitions, is far from where the policy goes.
 
-    Args:
-        unknown: whether the model knows little at steps t = 0..T-1 of rollouts, bool, (N, T).
-        data: number of transitions that the model was fitted to.
+    At the ``unknown`` steps t = 0..T-1 of rollouts, bool, (N, T), the model knows little.
     """
     share = unknown.double().mean()
     if share <= UNKNOWN:

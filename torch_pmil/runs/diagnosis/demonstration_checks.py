@@ -38,12 +38,9 @@ FEW = "too few demonstrations"  # another one
 
 @dataclass(frozen=True)
 class Finding:
-    """A flaw of demonstrations, in words.
+    """A flaw of demonstrations: one of a few causes, and a line with what, where and what to do.
 
-    Args:
-        cause: its name, one of a few.
-        message: one line: what, where, what to do.
-        fatal: whether nothing good can come of it.
+    Nothing good can come of a fatal one.
     """
 
     cause: str

@@ -10,7 +10,7 @@ from torch_pmil.model.compiled import available, building
 Printed = pytest.CaptureFixture[str]
 
 
-def test_command_says_where_the_kernels_are(
+def test_command_says_where_the_kernels_are_or_that_no_folder_can_be_written(
     monkeypatch: pytest.MonkeyPatch, capsys: Printed
 ) -> None:
     run_command(monkeypatch, "compile")
@@ -19,11 +19,6 @@ def test_command_says_where_the_kernels_are(
     said = capsys.readouterr().out
     assert said.startswith("the prediction is compiled (")
     assert said.endswith(f" CPU s), kept in {folder}\n")
-
-
-def test_command_says_that_no_folder_can_be_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: Printed
-) -> None:
     monkeypatch.setattr(building, "_cache_folder", lambda: None)
     run_command(monkeypatch, "compile")
     assert capsys.readouterr().out.endswith("kept in nowhere, for no folder can be written\n")

@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from functools import partial
 from http.server import ThreadingHTTPServer
 from pathlib import Path
 
@@ -54,12 +53,15 @@ def ask(
         return response.status, response.read().decode()
 
 
-def test_page_is_whole_and_asks_for_nothing_from_elsewhere(server: object) -> None:
+def test_page_is_whole_asks_for_nothing_from_elsewhere_and_is_all_there_is(server: object) -> None:
+    assert server.server_address[0] == "127.0.0.1"
     page = ask(server, "GET", "")[1]
     assert re.findall(r"(?:src|href)=\"(.*?)\"", page) == ["data:,", "page.css", "page.js"]
     assert "$" not in page and 'data-wanted="5"' in page
     files = [ask(server, "GET", name) for name in ("page.css", "page.js")]
     assert all(status == 200 and "http" not in text for status, text in files)
+    for method, name in (("GET", "../draw.py"), ("GET", "%2e%2e/draw.py"), ("POST", "page.js")):
+        assert ask(server, method, name, BODY)[0] == 404
 
 
 def test_drawing_is_saved_once_and_ends_the_server(server: object, tmp_path: Path) -> None:
@@ -85,16 +87,7 @@ def test_other_hosts_origins_and_tokens_are_refused(
     assert not os.listdir(tmp_path)
 
 
-def test_server_is_not_reached_from_other_machines(server: object) -> None:
-    assert server.server_address[0] == "127.0.0.1"
-
-
-def test_other_names_are_not_files(server: object) -> None:
-    for method, name in (("GET", "../draw.py"), ("GET", "%2e%2e/draw.py"), ("POST", "page.js")):
-        assert ask(server, method, name, BODY)[0] == 404
-
-
-def test_wrong_strokes_are_one_line_and_drawing_goes_on(
+def test_what_cannot_be_saved_is_one_line_and_drawing_goes_on(
     server: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert ask(server, "POST", "save", b"[[")[0] == 422
@@ -103,12 +96,6 @@ def test_wrong_strokes_are_one_line_and_drawing_goes_on(
     printed = capsys.readouterr().err.splitlines()
     assert [line.partition(":")[0] for line in printed] == 2 * ["not saved"]
     assert not os.listdir(tmp_path)
-    assert ask(server, "POST", "save", BODY)[0] == 200
-
-
-def test_file_that_cannot_be_written_is_reported_and_drawing_goes_on(
-    server: object, tmp_path: Path
-) -> None:
     server.path = tmp_path / "folder" / "wave.npz"
     status, text = ask(server, "POST", "save", BODY)
     assert status == 422 and re.match(r"Not saved: there is no folder", text)
@@ -161,7 +148,12 @@ def place(s: float, variation: int) -> tuple[float, float]:
 def draw_arc(page: object, variation: int, duration: float, end: float = 1.0) -> list[list[float]]:
     """Draws an arc, or a part of it, with the mouse in real time; what was drawn, [s, m, m]."""
     box, drawn = page.locator("#paper").bounding_box(), []
-    go = partial(_go, page, box, variation)
+
+    def go(s: float) -> tuple[float, float]:
+        right, down = place(s, variation)
+        page.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
+        return SIDE * right, SIDE * (1 - down)
+
     go(0.0)
     page.mouse.down()
     start = time.monotonic()
@@ -170,12 +162,6 @@ def draw_arc(page: object, variation: int, duration: float, end: float = 1.0) ->
     drawn.append([duration, *go(end)])
     page.mouse.up()
     return drawn
-
-
-def _go(page: object, box: dict[str, float], variation: int, s: float) -> tuple[float, float]:
-    right, down = place(s, variation)
-    page.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
-    return SIDE * right, SIDE * (1 - down)
 
 
 def off_the_line(points: torch.Tensor, line: torch.Tensor) -> float:

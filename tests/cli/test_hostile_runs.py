@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import pytest
@@ -26,7 +25,6 @@ def run_of(folder: Path, **changes: object) -> Path:
 
 @pytest.mark.parametrize("command", ["x" * 3_000_000, "pmil train seed='1", 5, None, ["pmil"]])
 def test_command_that_no_shell_takes_is_refused_at_once(tmp_path: Path, command: object) -> None:
-    """Splitting one of four MiB takes minutes."""
     folder = run_of(tmp_path, command=command)
     (load,) = measured([lambda: overrides(folder, [])], RunError)
     assert load.refusal is not None, load.failure
@@ -36,21 +34,14 @@ def test_command_that_no_shell_takes_is_refused_at_once(tmp_path: Path, command:
 def test_page_of_a_run_with_a_long_command_is_written_at_once(tmp_path: Path) -> None:
     folder = run_of(tmp_path, command="x" * 3_000_000)
     (load,) = measured([lambda: write_report(folder)], RunError)
-    assert not load.failure
-    assert load.refusal is None
+    assert not load.failure and load.refusal is None
+
+
+EVIL = "hydra.callbacks.evil._target_=os.mkdir"
 
 
 @pytest.mark.parametrize(
-    "word",
-    [
-        "hydra.callbacks.evil._target_=os.mkdir",
-        "+hydra.callbacks.evil._target_=os.mkdir",
-        "hydra/launcher=evil",
-        "--config-dir=/tmp",
-        "-m",
-        "seed",
-        "~seed",
-    ],
+    "word", [EVIL, f"+{EVIL}", "hydra/launcher=evil", "--config-dir=/tmp", "-m", "seed", "~seed"]
 )
 def test_resumed_command_has_no_settings_but_ours(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, word: str
@@ -82,19 +73,16 @@ def test_entry_of_another_type_is_damage(tmp_path: Path, changes: dict) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("number", [10**400, 1e300, math.inf, math.nan], ids=lambda n: str(n)[:9])
+@pytest.mark.parametrize("number", ["1" + 400 * "0", "1e300", "1e999", "Infinity", "NaN"])
 @pytest.mark.parametrize("entry", ["experience_s", "wall_seconds", "seed"])
-def test_number_beyond_all_bounds_is_damage(tmp_path: Path, entry: str, number: float) -> None:
+def test_number_beyond_all_bounds_is_damage(tmp_path: Path, entry: str, number: str) -> None:
+    summary = run_of(tmp_path, **{entry: "NUMBER"}) / "summary.json"
+    summary.write_text(summary.read_text().replace('"NUMBER"', number))
     with pytest.raises(RunError, match=r"summary\.json is damaged: ") as error:
-        read_summary(run_of(tmp_path, **{entry: number}))
-    assert len(str(error.value)) <= 1000
-
-
-def test_number_that_is_too_large_for_float64_is_damage(tmp_path: Path) -> None:
-    text = json.dumps(SUMMARY | {"rms_error": 7}).replace('"rms_error": 7', '"rms_error": 1e999')
-    (tmp_path / "summary.json").write_text(text)
-    with pytest.raises(RunError, match="must be JSON, got 1e999, which is not finite"):
         read_summary(tmp_path)
+    assert len(str(error.value)) <= 1000
+    if number == "1e999":
+        assert "must be JSON, got 1e999, which is not finite" in str(error.value)
 
 
 def test_rows_of_a_large_table_are_counted_at_once(tmp_path: Path) -> None:

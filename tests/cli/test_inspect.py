@@ -12,7 +12,6 @@ import torch
 
 from tests.helpers.run_script import run_command
 from torch_pmil.demonstrations import (
-    Demonstrations,
     Recordings,
     load_demonstrations,
     load_recordings,
@@ -50,21 +49,19 @@ def at(duration: float, samples: int, motion: Motion) -> tuple[np.ndarray, np.nd
 def test_spread_of_the_same_motion_at_other_paces_is_zero() -> None:
     shown = recordings(at(1.0, 401, np.square), at(2.5, 801, np.square), at(0.7, 601, np.square))
     assert spread(shown)[0] < 1e-5
-
-
-def test_spread_is_the_standard_deviation_of_an_offset() -> None:
-    offsets = [-1.0, 0.5, 2.0]
-    motions = enumerate(offsets, start=1)
-    shown = recordings(*(at(duration, 101, lambda s, by=by: by + s) for duration, by in motions))
-    np.testing.assert_allclose(spread(shown), [np.std(offsets, ddof=1)], rtol=1e-12)
-
-
-def test_spread_between_targets_does_not_count() -> None:
-    offsets = [0.0, 1.0, 10.0, 11.0]
-    motions = (at(1, 11, lambda s, by=by: by + s) for by in offsets)
-    shown = recordings(*motions, targets=[0, 0, 1, 1])
-    np.testing.assert_allclose(spread(shown), [np.sqrt(0.5)], rtol=1e-12)
     assert np.isnan(spread(recordings(at(1, 11, np.square)))).all()
+
+
+@pytest.mark.parametrize(
+    ("offsets", "targets", "expected"),
+    [([-1.0, 0.5, 2.0], None, 1.5), ([0.0, 1.0, 10.0, 11.0], [0, 0, 1, 1], np.sqrt(0.5))],
+)
+def test_spread_is_the_standard_deviation_of_an_offset_within_a_target(
+    offsets: list[float], targets: list[float] | None, expected: float
+) -> None:
+    motions = enumerate(offsets, start=1)
+    moved = [at(duration, 101, lambda s, by=by: by + s) for duration, by in motions]
+    np.testing.assert_allclose(spread(recordings(*moved, targets=targets)), [expected], rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -77,28 +74,20 @@ def test_velocities_are_recognised_by_what_they_are(tmp_path: Path, name: str) -
     assert len(named) == (3 if name.startswith("biorob") else 0)
 
 
-def test_summary_has_number_lengths_rate_ranges_and_targets() -> None:
+def test_summary_has_number_lengths_rate_ranges_and_targets_and_says_if_steps_are_uneven() -> None:
     motions = [at(n, 10 * n + 1, motion) for motion in (np.square, np.sqrt) for n in (1, 2)]
     shown = recordings(*motions, targets=[0, 0, 1, 1])
-    summary = dict(line.split("  ", 1) for line in describe(shown).splitlines()[:6])
-    listed = {name.strip(): text.strip() for name, text in summary.items()}
-    expected = {
-        "demonstrations": "4",
-        "samples": "11 to 21",
-        "duration": "1 to 2 s",
-        "rate": "10 Hz",
-        "targets": "2 of place",
-        "format": "CSV",
-    }
-    assert listed == expected
-    assert describe(shown).splitlines()[8].split()[:4] == ["x", "?", "0", "1"]
-
-
-def test_summary_of_uneven_steps_says_so() -> None:
+    lines = [" ".join(line.split()) for line in describe(shown).splitlines()]
+    numbers = ["demonstrations 4", "samples 11 to 21", "duration 1 to 2 s"]
+    assert lines[:6] == ["format CSV", *numbers, "rate 10 Hz", "targets 2 of place"]
+    assert lines[8].startswith("x ? 0 1")
     uneven = (np.array([0, 0.1, 0.25]), np.zeros((3, 1)))
     assert ", steps uneven" in describe(recordings(uneven, uneven))
 
 
+ALONE = "one demonstration: training needs two at least, better three to five"
+ALONE_OF_ONE = "one demonstration of target [1.0]: each needs two"
+CONTROLLED = "the robot is controlled every 0.1 s"
 FITTING = [at(1, 11, np.square), at(1, 11, np.sin)]
 
 
@@ -106,29 +95,17 @@ FITTING = [at(1, 11, np.square), at(1, 11, np.sin)]
     ("shown", "expected"),
     [
         (recordings(*FITTING), []),
-        (
-            recordings(FITTING[0]),
-            ["one demonstration: training needs two at least, better three to five"],
-        ),
+        (recordings(FITTING[0]), [ALONE]),
         (recordings(FITTING[0], at(1.1, 12, np.sin)), ["lengths differ: 11 to 12 samples"]),
         (
             recordings(FITTING[0], at(0.9, 11, np.sin)),
-            [
-                "time steps differ: 0.09 to 0.1 s",
-                "sampled every 0.095 s, the robot is controlled every 0.1 s",
-            ],
+            ["time steps differ: 0.09 to 0.1 s", f"sampled every 0.095 s, {CONTROLLED}"],
         ),
         (
             recordings(at(2, 11, np.sin), at(2, 11, np.sin)),
-            [
-                "sampled every 0.2 s, the robot is controlled every 0.1 s; what is between "
-                "samples will be interpolated"
-            ],
+            [f"sampled every 0.2 s, {CONTROLLED}; what is between samples will be interpolated"],
         ),
-        (
-            recordings(*FITTING, FITTING[0], targets=[0, 0, 1]),
-            ["one demonstration of target [1.0]: each needs two"],
-        ),
+        (recordings(*FITTING, FITTING[0], targets=[0, 0, 1]), [ALONE_OF_ONE]),
     ],
 )
 def test_what_is_missing_for_training_is_listed(shown: Recordings, expected: list[str]) -> None:
@@ -177,7 +154,7 @@ def test_command_that_is_advised_makes_what_training_takes(
     assert (pmil, align) == ("pmil", "align") and arguments[-2:] == ["--velocities", "rate"]
     monkeypatch.chdir(recorded.parent)
     run_command(monkeypatch, align, *arguments)
-    assert isinstance(load_demonstrations("demonstrations.npz", 0.1), Demonstrations)
+    assert load_demonstrations("demonstrations.npz", 0.1).names == ("angle", "rate")
     end = ["before training", "- nothing to do: it is loaded as it is"]
     assert inspect("demonstrations.npz").splitlines()[-2:] == end
 
@@ -198,13 +175,12 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
     assert load_demonstrations("demonstrations.npz", 0.25).duration == 1.5
 
 
-def test_picture_is_drawn_if_asked(inspect: Command, recorded: Path, tmp_path: Path) -> None:
-    picture = tmp_path / "drawn.png"
+def test_picture_is_drawn_if_asked_and_a_column_of_words_is_one_line(
+    inspect: Command, recorded: Path
+) -> None:
+    picture = recorded.with_name("drawn.png")
     assert f"wrote {picture}" in inspect(recorded, "--keys", "q", "--draw", picture)
     assert picture.read_bytes()[:4] == b"\x89PNG"
-
-
-def test_column_of_words_is_one_line(inspect: Command, recorded: Path) -> None:
     words = "row 2, column phase must be a finite number, got 'reach'"
     with pytest.raises(SystemExit, match=rf"error: .*recorded reaches.csv: {words}"):
         inspect(recorded)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.run_script import run_command
@@ -34,10 +33,6 @@ def files_in(folder: str) -> set[str]:
     return {path.name for path in Path(folder).iterdir()}
 
 
-def robot_class(folder: str) -> type[EnvBase]:
-    return runpy.run_path(f"{folder}/robot.py")["Arm"]
-
-
 def test_template_is_written_and_said(script: Script, capsys: pytest.CaptureFixture[str]) -> None:
     script("robot", "an arm/of mine")
     assert files_in("an arm/of mine") == FILES
@@ -47,18 +42,16 @@ def test_template_is_written_and_said(script: Script, capsys: pytest.CaptureFixt
     assert {line.split()[0] for line in lines[1:-1]} == FILES
 
 
-def test_robot_is_an_environment_that_its_seed_determines(script: Script) -> None:
+def test_robot_is_an_environment_that_its_seed_determines_and_gravity_moves(
+    script: Script,
+) -> None:
     script("robot")
-    Arm = robot_class("my_robot")
+    Arm = runpy.run_path("my_robot/robot.py")["Arm"]
     check_env_specs(Arm())
     starts = [AdaptedEnv(Arm, 0.1, seed=seed).reset()["observation"] for seed in (1, 1, 2)]
     assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])
-
-
-def test_robot_comes_to_rest_where_gravity_balances_its_torque(script: Script) -> None:
-    script("robot")
     torque = 3.0 * torch.tensor([0.5]).double().sin()
-    rollout = AdaptedEnv(robot_class("my_robot"), 0.1, seed=0).rollout(300, lambda shown: torque)
+    rollout = AdaptedEnv(Arm, 0.1, seed=0).rollout(300, lambda shown: torque)
     balanced = torch.tensor([0.5, 0.0], dtype=torch.float64)
     torch.testing.assert_close(rollout["next", "observation"][-1], balanced, atol=1e-3, rtol=0)
 
@@ -80,18 +73,6 @@ def test_nothing_is_replaced_and_then_nothing_is_written(script: Script, name: s
         script("robot", "mine")
     assert stop.value.code == f"error: mine/{name} is there already: pmil new replaces nothing"
     assert files_in("mine") == {name} and Path("mine", name).read_text() == "mine"
-
-
-def test_folder_that_cannot_be_made_is_one_line(script: Script) -> None:
-    Path("file").write_text("")
-    with pytest.raises(SystemExit, match=r"^error: .*file"):
-        script("robot", "file/below")
-
-
-def test_other_kinds_are_one_line(script: Script, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        script("car")
-    assert "invalid choice: 'car'" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,8 @@ import pytest
 
 from tests.helpers.run_script import run_command
 from torch_pmil.runs.summaries import wilson_interval
+
+Script = Callable[..., None]
 
 
 def write_run(
@@ -37,25 +41,25 @@ def summary_in(folder: Path) -> dict:
     return json.loads((folder / "summary.json").read_text())
 
 
-def summarize(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> None:
-    run_command(monkeypatch, "summarize", *arguments)
+@pytest.fixture
+def summarize(monkeypatch: pytest.MonkeyPatch) -> Script:
+    return partial(run_command, monkeypatch, "summarize")
 
 
-def error_of(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> str:
+def error_of(summarize: Script, *arguments: Path | str) -> str:
     with pytest.raises(SystemExit) as stop:
-        summarize(monkeypatch, *arguments)
+        summarize(*arguments)
     message = stop.value.code
     assert isinstance(message, str) and message.startswith("error: ") and "\n" not in message
     return message.removeprefix("error: ")
 
 
 def test_headline_counts_runs_that_learned_within_the_papers_experience(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    summarize: Script, tmp_path: Path
 ) -> None:
-    """Seed 1 took too long, seed 2 does not succeed often enough."""
     for run in ((2, 20.0, 0.9), (0, 25.0, 0.95), (1, 35.0, 1.0)):
         write_run(tmp_path / "runs", *run)
-    summarize(monkeypatch, tmp_path / "runs", "--out", tmp_path / "results")
+    summarize(tmp_path / "runs", "--out", tmp_path / "results")
     merged = summary_in(tmp_path / "results")
     assert [run["seed"] for run in merged["runs"]] == [0, 1, 2]
     headline = merged["headline"]
@@ -65,10 +69,10 @@ def test_headline_counts_runs_that_learned_within_the_papers_experience(
 
 
 def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    summarize: Script, tmp_path: Path
 ) -> None:
     runs = [write_run(tmp_path / "runs", seed, 5.0, rate) for seed, rate in enumerate((1.0, 0.5))]
-    summarize(monkeypatch, *runs, "--out", tmp_path / "results")
+    summarize(*runs, "--out", tmp_path / "results")
     merged = summary_in(tmp_path / "results")
     assert merged["command"] == f"pmil summarize {runs[0]} {runs[1]} --out {tmp_path / 'results'}"
     assert {"experiment", "date", "commit", "versions"} <= merged.keys()
@@ -82,21 +86,21 @@ def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(
 
 
 def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    summarize: Script, tmp_path: Path
 ) -> None:
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     for folder in (tmp_path / "runs", run):
-        summarize(monkeypatch, folder)
+        summarize(folder)
         assert summary_in(tmp_path / "runs")["headline"]["seeds"] == 1
 
 
 def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    summarize: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for seed in (10, 9):
         write_run(tmp_path / "runs", seed, 27.5, 0.95)
     write_unfinished_run(tmp_path / "runs", 3)
-    summarize(monkeypatch, tmp_path / "runs")
+    summarize(tmp_path / "runs")
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [Path(row[0]).name for row in rows[1:4]] == ["seed_9", "seed_10", "seed_3"]
     assert rows[1][1:] == ["27.5", "1", "1", "95%", "109", "limit", "of", "trials"]
@@ -104,37 +108,30 @@ def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
     assert summary_in(tmp_path / "runs")["headline"]["seeds"] == 2
 
 
-def test_runs_of_two_experiments_are_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_runs_of_two_experiments_are_refused(summarize: Script, tmp_path: Path) -> None:
     write_run(tmp_path / "a", 0, 20.0, 1.0)
     write_run(tmp_path / "b", 1, 20.0, 1.0, experiment="biorob")
-    complaint = error_of(monkeypatch, tmp_path / "a", tmp_path / "b", "--out", tmp_path / "results")
+    complaint = error_of(summarize, tmp_path / "a", tmp_path / "b", "--out", tmp_path / "results")
     assert complaint == "runs must be of one experiment, got biorob, double_pendulum"
     assert not (tmp_path / "results").exists()
 
 
-def test_a_damaged_run_is_named_and_nothing_is_written(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_damaged_run_is_named_and_nothing_is_written(summarize: Script, tmp_path: Path) -> None:
     write_run(tmp_path / "runs", 0, 20.0, 1.0)
     damaged = write_run(tmp_path / "runs", 1, 20.0, 1.0)
     (damaged / "summary.json").write_text('{"experiment": "double_pen')
     message = f"{damaged}: summary.json is damaged: "
-    assert error_of(monkeypatch, tmp_path / "runs").startswith(message)
+    assert error_of(summarize, tmp_path / "runs").startswith(message)
     assert sorted(os.listdir(tmp_path / "runs")) == ["seed_0", "seed_1"]
 
 
-def test_runs_none_of_which_has_ended_are_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_runs_that_have_not_ended_are_refused_and_the_summary_of_one_is_not_replaced(
+    summarize: Script, tmp_path: Path
 ) -> None:
-    run = write_unfinished_run(tmp_path / "runs", 0)
-    assert error_of(monkeypatch, tmp_path / "runs") == f"none of the runs has ended: {run}"
-
-
-def test_summary_of_a_run_is_not_replaced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    run = write_unfinished_run(tmp_path / "begun", 0)
+    assert error_of(summarize, tmp_path / "begun") == f"none of the runs has ended: {run}"
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     before = (run / "summary.json").read_text()
     message = f"{run} is a run: the results would replace its summary.json"
-    assert error_of(monkeypatch, run, "--out", run) == message
+    assert error_of(summarize, run, "--out", run) == message
     assert (run / "summary.json").read_text() == before

@@ -22,23 +22,14 @@ from torch_pmil.tasks.task import Task
 STEPS = 6
 OF_ALL = {"learning_curve", "calibration", "model"}
 OF_A_TASK = {"trajectories", "kl_per_step", "policy"}
-OWN = {
-    "double_pendulum": {"poses"},
-    "double_pendulum_pilco": {"poses"},
-    "double_pendulum_servo": {"poses"},
-    "double_pendulum_targets": {"poses"},
-    "handwriting": {"writing"},
-    "handwriting_biorob": {"writing"},
-}
+OWN = {f"double_pendulum{kind}": {"poses"} for kind in ("", "_pilco", "_servo", "_targets")}
+OWN |= {f"handwriting{robot}": {"writing"} for robot in ("", "_biorob")}
 WHOLE = {"handwriting", "handwriting_biorob", "inverted_pendulum"}  # whose error is of all steps
 
 
 def short(name: str) -> Task:
-    """The first steps of an experiment, and searches of a few evaluations."""
-    if name.startswith("handwriting"):
-        task = load_experiment(name, lasa_strokes("Angle"))
-    else:
-        task = load_experiment(name)
+    """The first steps of a task, and searches of a few evaluations."""
+    task = load_experiment(name, lasa_strokes("Angle") if name in WHOLE & OWN.keys() else None)
     steps = task.horizon if name in WHOLE else STEPS
     return shortened(task, steps, exploration=RandomMotion())
 
@@ -49,11 +40,9 @@ def test_every_experiment_has_its_figures(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
-    experiment = short(name)
-    result = train(
-        experiment, seed=0, trials=1, out=tmp_path / "run", command="", progress_bar=False
-    )
-    figures = dict(figures_of(experiment, result))
+    task = short(name)
+    result = train(task, 0, 1, tmp_path / "run", "", progress_bar=False)
+    figures = dict(figures_of(task, result))
     of_a_task = OF_A_TASK - ({"kl_per_step"} if name == "double_pendulum_pilco" else set())
     count = len(result.outcomes)
     targets = [f"_target_{number}" for number in range(count)] if count > 1 else [""]
@@ -66,31 +55,27 @@ def test_every_experiment_has_its_figures(
 
 def test_planes_of_a_cart_have_its_one_motor() -> None:
     space = load_experiment("inverted_pendulum").space
-    planes = planes_of(
-        space, 1, torch.tensor([[[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]]]).double()
-    )
+    way = torch.tensor([[[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]]]).double()
+    planes = planes_of(space, 1, way)
     assert [(plane.x, plane.y, plane.action) for plane in planes] == [(0, 2, 0), (1, 3, 0)]
     assert planes[0].span == (pytest.approx((-0.3, 1.3)), pytest.approx((-0.9, 3.9)))
 
 
 def test_slices_go_over_torques_and_over_one_feature_at_least() -> None:
     relevance = torch.tensor([1.0, 3.0, 2.0, 0.1, 0.4, 0.3, 0.2])
-    assert [sliced(relevance, torques) for torques in (1, 3, 5)] == [
-        [0, 1, 2, 6],
-        [1, 4, 5, 6],
-        [1, 2, 4, 5],
-    ]
+    expected = {1: [0, 1, 2, 6], 3: [1, 4, 5, 6], 5: [1, 2, 4, 5]}
+    assert {torques: sliced(relevance, torques) for torques in expected} == expected
 
 
 def test_what_shows_a_prediction_is_left_out_where_there_is_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("_learning_curve", "_calibration", "_model"):
-        monkeypatch.setattr(figures, name, lambda experiment, result: Figure())
-    experiment = load_experiment("double_pendulum")
-    shape = experiment.demonstrated.mean.shape
+        monkeypatch.setattr(figures, name, lambda task, result: Figure())
+    task = load_experiment("double_pendulum")
+    shape = task.demonstrated.mean.shape
     nothing = Gaussian(torch.full(shape, torch.nan), torch.full((*shape, 4), torch.nan))
-    rollouts = experiment.robots(2, seed=100).rollout(experiment.horizon)
-    outcomes = experiment.outcomes(nothing, rollouts, experiment.error(rollouts))
+    rollouts = task.robots(2, seed=100).rollout(task.horizon)
+    outcomes = task.outcomes(nothing, rollouts, task.error(rollouts))
     result = RunResult({}, [], outcomes, policy=None, dynamics=None)
-    assert {"kl_per_step", "policy"}.isdisjoint(dict(figures_of(experiment, result)))
+    assert {"kl_per_step", "policy"}.isdisjoint(dict(figures_of(task, result)))

@@ -28,9 +28,9 @@ from tests.helpers.leftovers import differences, left_in
 from tests.helpers.short_run import SEED, TRIALS, quick_fits, short_experiment
 from torch_pmil.cli import resume, train
 from torch_pmil.plotting.video import write_video
-from torch_pmil.runs import pictures, training
+from torch_pmil.runs import pictures
 from torch_pmil.runs.lock import RunGoingOnError, alone_in
-from torch_pmil.runs.settings import Settings
+from torch_pmil.runs.settings import RunSettings
 from torch_pmil.runs.training import RunResult
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.task import Task
@@ -40,14 +40,14 @@ STEPS = 2
 COMMAND = ["pmil", "train", f"seed={SEED}", f"trials={TRIALS}"]
 
 
-def small_figures(experiment: Task, result: RunResult) -> Iterator[tuple[str, Figure]]:
+def small_figures(task: Task, result: RunResult) -> Iterator[tuple[str, Figure]]:
     for name in ("learning_curve", "policy"):
         figure = Figure(figsize=(0.2, 0.2))
         figure.add_axes((0, 0, 1, 1)).plot([trial.loss for trial in result.trials])
         yield name, figure
 
 
-def small_film(experiment: Task, result: RunResult, path: Path) -> None:
+def small_film(task: Task, result: RunResult, path: Path) -> None:
     write_video(path, [np.full((16, 16, 3), shade, np.uint8) for shade in range(3)], fps=50)
 
 
@@ -59,7 +59,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         pytest.skip("other tests were run in this process before")
     with pytest.MonkeyPatch.context() as patch:
         quick_fits(patch)
-        patch.setattr(training, "EVALUATION_STARTS", 2)
+        patch.setattr("torch_pmil.tasks.task.MEASURED_STARTS", 2)
         patch.setattr(pictures, "figures_of", small_figures)
         patch.setattr(pictures, "film", small_film)
         yield
@@ -70,13 +70,11 @@ def run(folder: Path) -> None:
     torch.manual_seed(0)
     np.random.seed(0)
     random.seed(0)
-    values = {"experiment": "double_pendulum", "seed": SEED, "trials": TRIALS, "logger": "csv"}
-    unset = dict.fromkeys(("shape", "robot", "demonstrations"))
-    settings = Settings(**values, **unset, out=str(folder), resume=True, overwrite=False)
-    experiment = short_experiment(STEPS, search=SearchSettings(0, 1, 1, first_horizon=STEPS))
+    settings = RunSettings(seed=SEED, trials=TRIALS, out=str(folder), resume=True, logger="csv")
+    task = short_experiment(STEPS, search=SearchSettings(0, 1, 1, first_horizon=STEPS))
     with alone_in(folder):
-        result = train.learned("", False, experiment, settings, COMMAND)
-        train.show("", experiment, result, folder)
+        result = train.learned("", False, task, settings, COMMAND)
+        train.show("", task, result, folder)
 
 
 def go_on(folder: Path) -> None:
@@ -94,13 +92,7 @@ def watched(operations: Operations, report: Path) -> None:
 
 @dataclass(frozen=True)
 class Undisturbed:
-    """A run that nothing killed; those that are killed are in the same folder after it.
-
-    Args:
-        folder: where it was.
-        left: what it left there.
-        operations: by which it changed the folder.
-    """
+    """What a run that nothing killed left, and its operations; those killed take its folder."""
 
     folder: Path
     left: dict[str, Any]

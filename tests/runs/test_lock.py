@@ -31,11 +31,8 @@ def test_second_process_is_told_of_the_first_and_comes_in_when_that_was_killed(
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
         assert holder.stdout.readline() == "locked\n"
-        with (
-            pytest.raises(RunGoingOnError, match=rf"going on in .*process {holder.pid}\): wait"),
-            alone_in(tmp_path),
-        ):
-            pass
+        with pytest.raises(RunGoingOnError, match=rf"going on in .*process {holder.pid}\): wait"):
+            enter(tmp_path)
         holder.kill()
     assert (tmp_path / ".lock").exists()  # and keeps nobody out
     with alone_in(tmp_path):
@@ -43,23 +40,21 @@ def test_second_process_is_told_of_the_first_and_comes_in_when_that_was_killed(
     assert os.listdir(tmp_path) == []
 
 
-def test_same_thread_may_come_in_again_and_another_one_may_not(tmp_path: Path) -> None:
-    def enter() -> None:
-        with alone_in(tmp_path / "run"):
-            pass
+def enter(folder: Path) -> None:
+    with alone_in(folder):
+        pass
 
-    with alone_in(tmp_path / "run"):
-        enter()
+
+def test_same_thread_may_come_in_again_another_one_may_not_and_an_error_ends_it(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(KeyboardInterrupt), alone_in(tmp_path / "run"):
+        enter(tmp_path / "run")
         with ThreadPoolExecutor() as pool, pytest.raises(RunGoingOnError):
-            pool.submit(enter).result()
+            pool.submit(enter, tmp_path / "run").result()
         assert os.listdir(tmp_path / "run") == [".lock"]
-    enter()
-
-
-def test_error_within_ends_the_lock(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), alone_in(tmp_path):
         raise KeyboardInterrupt
-    assert os.listdir(tmp_path) == []
+    assert os.listdir(tmp_path / "run") == []
 
 
 def test_folder_that_was_renamed_meanwhile_leaves_the_lock_of_its_successor(tmp_path: Path) -> None:
@@ -73,13 +68,12 @@ def test_folder_that_was_renamed_meanwhile_leaves_the_lock_of_its_successor(tmp_
 def test_lock_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("content")
     (tmp_path / ".lock").symlink_to(tmp_path / "precious")
-    with pytest.raises(OSError, match=r"\.lock"), alone_in(tmp_path):
-        pass
+    with pytest.raises(OSError, match=r"\.lock"):
+        enter(tmp_path)
     assert (tmp_path / "precious").read_text() == "content"
 
 
 def test_system_without_locks_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lock, "fcntl", None)
-    with alone_in(tmp_path):
-        pass
+    enter(tmp_path)
     assert os.listdir(tmp_path) == []

@@ -33,15 +33,12 @@ SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1
 def learner(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PMIL:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
-    return PMIL(
-        DoublePendulumEnv(),
-        shipped_demonstrations("double_pendulum"),
-        control_period=0.1,
-        state=SPACE.names,
-        angles=("q1", "q2"),
-        match=SPACE.match_space,
-        search=SHORT,
-    )
+    return learner_of(DoublePendulumEnv())
+
+
+def learner_of(robot: DoublePendulumEnv) -> PMIL:
+    known = {"state": SPACE.names, "angles": ("q1", "q2"), "match": SPACE.match_space}
+    return PMIL(robot, shipped_demonstrations("double_pendulum"), 0.1, **known, search=SHORT)
 
 
 def test_a_run_is_told_and_leaves_all_that_the_command_leaves(
@@ -61,18 +58,20 @@ def test_a_run_is_told_and_leaves_all_that_the_command_leaves(
     assert learner.report() == out / "report.html"
 
 
-def test_the_policy_is_a_function_is_saved_and_is_measured(learner: PMIL) -> None:
-    learner.learn(trials=1, out="run")
+def test_the_policy_is_a_function_is_saved_and_is_measured_once_it_is_learned(
+    learner: PMIL,
+) -> None:
+    for ask in (lambda: learner.policy, lambda: learner.save("a.pt"), learner.evaluate):
+        with pytest.raises(RuntimeError, match="there is no policy yet: call learn"):
+            ask()
+    weights = learner.learn(trials=1, out="run").policy.policy.weights.clone()
     torque = learner.policy([3.14, 0, 0, 0])
     assert torque.shape == (2,)
     learner.save("mine.pt")
     assert (load_policy("mine.pt")([3.14, 0, 0, 0]) == torque).all()
     rate = learner.evaluate(starts=4, seed=1)
     assert rate in (0, 0.25, 0.5, 0.75, 1) and learner.evaluate(starts=4, seed=1) == rate
-
-
-def test_a_finished_run_stays_unless_told_and_resumes_to_the_same_end(learner: PMIL) -> None:
-    weights = learner.learn(trials=1, out="run").policy.policy.weights.clone()
+    # the run stays, and resumes to the same end
     with pytest.raises(FinishedRunError):
         learner.learn(trials=1, out="run")
     learner.learn(trials=1, out="run", resume=True)
@@ -84,9 +83,7 @@ def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
 ) -> None:
     operator = Operator()
     robot = AttendedPendulum(operator, failing={5: 2}, seed=0)
-    settings = {"state": SPACE.names, "angles": ("q1", "q2"), "match": SPACE.match_space}
-    shown = shipped_demonstrations("double_pendulum")
-    alone = PMIL(robot, shown, 0.1, **settings, search=SHORT).learn(trials=2, seed=3)
+    alone = learner_of(robot).learn(trials=2, seed=3)
     assert operator.asked == robot.rollouts == 1 + 2
     printed = capsys.readouterr().out
     assert "judged by the robot's own rollouts alone" in printed and "success rate" not in printed
@@ -139,9 +136,3 @@ def test_a_robot_that_keeps_time_learns_stops_goes_on_and_is_measured(
     assert learner.evaluate(starts=2) in (0, 0.5, 1)
     assert len(cart.sent) == 10 * asked.asked - 10 * 2  # all but those of q and d
     env.close()
-
-
-def test_before_learning_there_is_no_policy(learner: PMIL) -> None:
-    for ask in (lambda: learner.policy, lambda: learner.save("a.pt"), learner.evaluate):
-        with pytest.raises(RuntimeError, match="there is no policy yet: call learn"):
-            ask()

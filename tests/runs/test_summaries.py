@@ -62,13 +62,6 @@ def test_runs_are_found_in_a_folder_of_runs_or_by_themselves_and_once(tmp_path: 
     assert find_runs([runs[1], tmp_path / "runs"]) == [runs[1], runs[0]]
 
 
-def test_folder_without_runs_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=f"{tmp_path} holds no run"):
-        find_runs([tmp_path])
-    with pytest.raises(RunError, match="nowhere is not a folder"):
-        find_runs([tmp_path / "nowhere"])
-
-
 def test_trials_of_a_run_without_summary_count_unless_they_are_damaged(tmp_path: Path) -> None:
     run = write_run(tmp_path / "seed_0", None)
     assert not is_finished(run)
@@ -105,15 +98,12 @@ def test_damaged_summary_is_named_with_its_folder_in_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_summary_that_is_a_folder_is_named(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "seed_0", None)
+def test_summary_comes_back_whole_and_one_that_is_a_folder_is_named(tmp_path: Path) -> None:
+    assert read_summary(write_run(tmp_path / "seed_0", make_run(5.0, 0.5))) == make_run(5.0, 0.5)
+    run = write_run(tmp_path / "seed_1", None)
     (run / "summary.json").mkdir()
     with pytest.raises(RunError, match=r"is damaged: must be a regular file .* a folder"):
         read_summary(run)
-
-
-def test_summary_comes_back_whole(tmp_path: Path) -> None:
-    assert read_summary(write_run(tmp_path / "seed_0", make_run(5.0, 0.5))) == make_run(5.0, 0.5)
 
 
 def test_a_run_that_ended_early_is_carried_forward_with_its_saved_policy() -> None:
@@ -123,6 +113,8 @@ def test_a_run_that_ended_early_is_carried_forward_with_its_saved_policy() -> No
     np.testing.assert_array_equal(curve.experience_s, [2.5, 5.0, 7.5, 10.0, 12.5])
     np.testing.assert_array_equal(curve.rates, [[0, 1, 0.9, 0.9, 0.9], [0, 0, 0.2, 0.4, 0.8]])
     np.testing.assert_allclose(curve.mean, [0, 0.5, 0.55, 0.65, 0.85])
+    interval = wilson_interval(np.array(0.85), 2)
+    np.testing.assert_allclose((curve.lower[-1], curve.upper[-1]), interval)
 
 
 def test_between_two_measurements_a_run_counts_with_its_last_one() -> None:
@@ -131,48 +123,32 @@ def test_between_two_measurements_a_run_counts_with_its_last_one() -> None:
     np.testing.assert_array_equal(curve.rates[0], [0, 0, 0, 1])
 
 
-def test_curve_begins_where_every_run_was_measured_once() -> None:
-    late = make_run(10.0, 0.5, 1.0)
+def test_curve_begins_where_every_run_was_measured_once_and_rounding_splits_nothing() -> None:
+    late, rounded = make_run(10.0, 0.5, 1.0), make_run(10.0, 0.0, 0.5)
     late["trials"] = late["trials"][1:]
-    curve = success_over_experience([make_run(10.0, 0.0, 0.5), late])
-    assert curve.experience_s.tolist() == [5.0, 10.0]
+    rounded["trials"][1]["experience_s"] = 0.1 * 50 + 1e-12
+    for other, measured in ((late, [5.0, 10.0]), (rounded, [2.5, 5.0, 10.0])):
+        curve = success_over_experience([make_run(10.0, 0.0, 0.5), other])
+        assert curve.experience_s.tolist() == measured
 
 
-def test_rounding_of_experience_does_not_split_a_measurement() -> None:
-    run = make_run(10.0, 0.0, 0.5)
-    run["trials"][1]["experience_s"] = 0.1 * 50 + 1e-12
-    curve = success_over_experience([run, make_run(10.0, 0.0, 0.5)])
-    assert curve.experience_s.tolist() == [2.5, 5.0, 10.0]
-
-
-def test_end_of_the_curve_is_the_mean_rate_of_the_saved_policies() -> None:
-    runs = [make_run(5.0, 0.1, saved=0.5), make_run(7.5, 0.1, 0.2, saved=1.0)]
-    curve, interval = success_over_experience(runs), wilson_interval(np.array(0.75), 2)
-    assert curve.mean[-1] == 0.75
-    np.testing.assert_allclose((curve.lower[-1], curve.upper[-1]), interval)
-
-
-@pytest.mark.parametrize("count", [1, 4, 10, 50])
-def test_interval_of_whole_successes_is_scipys(count: int) -> None:
-    successes = np.arange(count + 1)
-    intervals = [binomtest(int(k), count).proportion_ci(0.95, method="wilson") for k in successes]
-    np.testing.assert_allclose(
-        wilson_interval(successes / count, count), np.transpose(intervals), atol=1e-12
-    )
-
-
-def test_interval_lies_between_0_and_1_around_the_mean() -> None:
+@pytest.mark.parametrize("count", [1, 2, 4, 10, 50, 1000])
+def test_interval_of_whole_successes_is_scipys_and_any_lies_between_0_and_1_around_the_mean(
+    count: int,
+) -> None:
+    rates = np.arange(count + 1)
+    exact = [binomtest(int(k), count).proportion_ci(0.95, method="wilson") for k in rates]
+    found = wilson_interval(rates / count, count)
+    np.testing.assert_allclose(found, np.transpose(exact), atol=1e-12)
     mean = np.linspace(0, 1, 101)
-    for count in (1, 2, 10, 1000):
-        lower, upper = wilson_interval(mean, count)
-        assert ((lower >= 0) & (lower <= mean) & (mean <= upper) & (upper <= 1)).all()
+    lower, upper = wilson_interval(mean, count)
+    assert ((lower >= 0) & (lower <= mean) & (mean <= upper) & (upper <= 1)).all()
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.05, 0.05), (0.3, 0.1), (2.0, 2.0), (8.0, 1.0)])
 def test_interval_of_ten_draws_between_0_and_1_covers_their_mean_at_least_as_often_as_it_says(
     a: float, b: float
 ) -> None:
-    """From runs that nearly all fail or succeed wholly to runs that are alike."""
     draws = np.random.default_rng(0).beta(a, b, size=(20_000, 10))
     lower, upper = wilson_interval(draws.mean(1), 10)
     coverage = ((lower <= a / (a + b)) & (a / (a + b) <= upper)).mean()
@@ -185,19 +161,12 @@ def curve_of(*mean: float) -> SuccessCurve:
     return SuccessCurve(2.5 * np.arange(1, len(mean) + 1), rates[None], rates, rates, rates)
 
 
-@pytest.mark.parametrize(
-    ("experience_s", "rate"),
-    [(2.4, 0.1), (2.5, 0.1), (4.9, 0.1), (5.0, 0.2), (33.0, 0.3), (float("inf"), 0.3)],
-)
-def test_curve_holds_its_last_measurement(experience_s: float, rate: float) -> None:
-    assert curve_of(0.1, 0.2, 0.3).at(experience_s) == rate
+def test_curve_holds_its_last_measurement() -> None:
+    seconds = (2.4, 2.5, 4.9, 5.0, 33.0, float("inf"))
+    rates = [curve_of(0.1, 0.2, 0.3).at(experience_s) for experience_s in seconds]
+    assert rates == [0.1, 0.1, 0.1, 0.2, 0.3, 0.3]
 
 
-@pytest.mark.parametrize(
-    ("mean", "experience_s"),
-    [((0.0, 0.96, 0.5, 1.0), 5.0), ((0.0, 0.95 - 1e-15), 5.0), ((0.0, 0.94), None)],
-)
-def test_rate_is_reached_the_first_time_or_never(
-    mean: tuple[float, ...], experience_s: float | None
-) -> None:
-    assert curve_of(*mean).experience_to(0.95) == experience_s
+def test_rate_is_reached_the_first_time_or_never() -> None:
+    means = ((0.0, 0.96, 0.5, 1.0), (0.0, 0.95 - 1e-15), (0.0, 0.94))
+    assert [curve_of(*mean).experience_to(0.95) for mean in means] == [5.0, 5.0, None]

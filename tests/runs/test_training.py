@@ -67,15 +67,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rows_when_told() -> list[int]:
-    """Trials in metrics.csv when each trial was told."""
-    return []
+def result(experiment: Task, folder: Path) -> RunResult:
+    """Metrics hold each trial as soon as it is reported."""
 
-
-@pytest.fixture(scope="module")
-def result(experiment: Task, folder: Path, rows_when_told: list[int]) -> RunResult:
-    def on_trial(_: Trial) -> None:
-        rows_when_told.append(len(read_metrics(folder)))
+    def on_trial(trial: Trial) -> None:
+        assert len(read_metrics(folder)) == trial.trial
 
     return train(experiment, SEED, TRIALS, folder, COMMAND, progress_bar=False, on_trial=on_trial)
 
@@ -90,10 +86,16 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder: Path) -> None:
+def test_run_leaves_these_files_with_a_row_for_each_trial_and_no_temporary_ones(
+    result: RunResult, folder: Path
+) -> None:
     files = {"dynamics.pt", "metrics.csv", "policy.pt", "run.json", "settings.yaml", "summary.json"}
     assert {*os.listdir(folder)} == files | {"checkpoints", "figures"}
     assert os.listdir(folder / "figures") == []
+    rows = read_metrics(folder)
+    assert list(rows[0]) == [field.name for field in fields(Trial)]
+    trials = [asdict(trial).items() for trial in result.trials]
+    assert rows == [{k: "" if v is None else str(v) for k, v in items} for items in trials]
 
 
 def test_summary_says_what_was_run(summary: dict, experiment: Task) -> None:
@@ -138,31 +140,12 @@ def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experime
         "demonstration_spread": dict(zip(names, spread, strict=True)),
         "stop_reason": "limit of trials",
         "trials": [asdict(trial) for trial in result.trials],
+        "units": {"objective": "nats", "demonstrations": dict.fromkeys(names, "m")},
     }
     assert expected.items() <= summary.items()
     assert summary["saved_trial"] in (1, 2) and summary["wall_seconds"] > 0
     assert summary["experience_s"] == pytest.approx((TRIALS + 1) * HORIZON * 0.1)
     assert len(summary["trials"]) == TRIALS and result.summary == summary
-
-
-def test_summary_says_the_units_of_the_objective_and_of_what_was_demonstrated(
-    summary: dict,
-) -> None:
-    metres = dict.fromkeys(("x1", "y1", "x2", "y2"), "m")
-    assert summary["units"] == {"objective": "nats", "demonstrations": metres}
-
-
-def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> None:
-    rows = read_metrics(folder)
-    assert list(rows[0]) == [field.name for field in fields(Trial)]
-    trials = [asdict(trial).items() for trial in result.trials]
-    assert rows == [{k: "" if v is None else str(v) for k, v in items} for items in trials]
-
-
-def test_metrics_are_written_after_every_trial(
-    result: RunResult, rows_when_told: list[int]
-) -> None:
-    assert rows_when_told == [1, 2]
 
 
 def load_network(folder: Path) -> RBFPolicy:
@@ -176,36 +159,19 @@ def load_dynamics(folder: Path) -> GPDynamics:
 
 
 @torch.no_grad()
-def test_saved_policy_acts_as_the_learned_one(
-    result: RunResult, folder: Path, draws: Draws
+def test_saved_policy_and_model_are_those_that_predicted_and_acted_and_know_all_experience(
+    result: RunResult, folder: Path, experiment: Task, draws: Draws
 ) -> None:
+    policy, dynamics, (outcome,) = load_network(folder), load_dynamics(folder), result.outcomes
     features = draws.normal(50, 6)
-    assert torch.equal(load_network(folder)(features), result.policy.policy(features))
-
-
-def test_saved_policy_and_model_predict_as_the_run_did(
-    result: RunResult, folder: Path, experiment: Task
-) -> None:
-    predicted = predict_trajectory(
-        experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON
-    )
-    assert torch.equal(predicted.mean, result.outcomes[0].predicted.mean)
-    assert torch.equal(predicted.cov, result.outcomes[0].predicted.cov)
-
-
-def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> None:
-    assert load_dynamics(folder).train_inputs.shape == ((TRIALS + 1) * HORIZON, 8)
-
-
-def test_executed_rollouts_are_those_of_the_saved_policy(
-    result: RunResult, folder: Path, experiment: Task
-) -> None:
-    executed = result.outcomes[0].executed
-    before, after = executed[:, :-1].flatten(0, 1), executed[:, 1:].flatten(0, 1)
-    actions = load_network(folder)(experiment.space.features(before)).detach()
-    torch.testing.assert_close(
-        experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9
-    )
+    assert torch.equal(policy(features), result.policy.policy(features))
+    assert dynamics.train_inputs.shape == ((TRIALS + 1) * HORIZON, 8)
+    predicted = predict_trajectory(experiment.initial, policy, dynamics, experiment.space, HORIZON)
+    assert torch.equal(predicted.mean, outcome.predicted.mean)
+    assert torch.equal(predicted.cov, outcome.predicted.cov)
+    before, after = outcome.executed[:, :-1].flatten(0, 1), outcome.executed[:, 1:].flatten(0, 1)
+    moved = experiment.make_env(seed=0).simulate(before, policy(experiment.space.features(before)))
+    torch.testing.assert_close(moved, after, rtol=0, atol=1e-9)
 
 
 def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_that_says_so(
@@ -232,25 +198,22 @@ def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_tha
     assert load_network(tmp_path / "run")
 
 
-def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
+def test_folder_is_made_used_again_and_cleared_of_the_run_before_if_that_may_be_replaced(
+    tmp_path: Path,
+) -> None:
     out = tmp_path / "runs" / "here"
     prepare_folder(out)
     (out / "metrics.csv").write_text("of an older run")
     prepare_folder(out)
-    assert read_metrics(out) == []
-    assert sorted(os.listdir(out)) == ["figures", "metrics.csv"]
-
-
-def test_nothing_of_the_run_before_stays_if_it_may_be_replaced(tmp_path: Path) -> None:
-    prepare_folder(tmp_path)
-    (tmp_path / "notes.txt").touch()  # is no run's
+    assert read_metrics(out) == [] and sorted(os.listdir(out)) == ["figures", "metrics.csv"]
+    (out / "notes.txt").touch()  # is no run's
     for name in ("figures/old.png", *FILES):
-        (tmp_path / name).touch()
+        (out / name).touch()
     with pytest.raises(FinishedRunError):
-        clear_folder(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "figures", *FILES}
-    clear_folder(tmp_path, overwrite=True)
-    assert os.listdir(tmp_path) == ["notes.txt"]
+        clear_folder(out)
+    assert {*os.listdir(out)} == {"notes.txt", "figures", *FILES}
+    clear_folder(out, overwrite=True)
+    assert os.listdir(out) == ["notes.txt"]
 
 
 def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> None:
@@ -288,31 +251,21 @@ def test_rows_of_a_csv_logger_are_taken_back_to_a_step_and_a_cut_one_too(tmp_pat
         rewind_logs(logger, step=4)
 
 
-def test_run_begins_by_removing_debris(
-    experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stop(*args: object) -> None:
-        raise KeyboardInterrupt
-
-    (tmp_path / ".video.4711.mp4").touch()
-    monkeypatch.setattr(training, "make_trainer", stop)
-    with pytest.raises(KeyboardInterrupt):
-        train(experiment, SEED, 1, tmp_path, COMMAND)
-    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json", "settings.yaml"]
-
-
-@pytest.mark.parametrize("phase", ["clear_folder", "_finish"])
-def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
+@pytest.mark.parametrize("phase", ["clear_folder", "make_trainer", "_finish"])
+def test_run_begins_by_removing_debris_and_is_alone_in_its_folder_from_its_start_to_its_end(
     phase: str, experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def another(*args: object) -> None:
         assert (tmp_path / ".lock").read_text() == str(os.getpid())
+        if phase == "make_trainer":
+            assert {*os.listdir(tmp_path)} == {".lock", "figures", "run.json", "settings.yaml"}
         with ThreadPoolExecutor() as pool:
             second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
         with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
             second.result()
         raise KeyboardInterrupt
 
+    (tmp_path / ".video.4711.mp4").touch()
     monkeypatch.setattr(training, phase, another)
     with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)

@@ -102,9 +102,6 @@ class LastingOutput:
 
     So a command does not stop half way if its reader leaves (``| head``) or the disk is full.
     Characters that the encoding of the stream does not have are written as ``?``.
-
-    Args:
-        stream: to write to.
     """
 
     def __init__(self, stream: TextIO) -> None:

@@ -61,8 +61,7 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
         for one in zip(recordings.times, recordings.values, strict=True)
     ]
     if options.crop:
-        derived = range(len(known), len(names))
-        preprocessed = [cropped(*one, derived) for one in preprocessed]
+        preprocessed = [cropped(*one, range(len(known), len(names))) for one in preprocessed]
     times, values = zip(*preprocessed, strict=True)
     prepared = replace(recordings, times=times, values=values, names=tuple(names), places=())
     reference, labels = options.reference, recordings.labels
@@ -87,9 +86,8 @@ def preprocessed_one(
     """One recording after those steps whose options are given, up to the derived velocities."""
     positions = torch.tensor([name not in options.velocities for name in names])
     if options.marker:
-        markers = torch.tensor(options.marker, dtype=torch.float64)
         values = values.clone()
-        values[:, positions] = in_metres(values[:, positions], markers)
+        values[:, positions] = in_metres(values[:, positions], options.marker)
     if options.fastest is not None:
         limits = torch.where(positions, options.fastest, torch.inf).double()
         values, times = without_jumps(values, times, limits)
@@ -100,18 +98,15 @@ def preprocessed_one(
     return times, torch.cat([smooth(values, times, options.smooth), derived], -1)
 
 
-def in_metres(values: Tensor, markers: Tensor) -> Tensor:
-    """Points (T, 2 P), x and y of each in turn, from pixels to m.
-
-    Markers are rows [pixel x, pixel y, x, y], (K, 4).
-    """
+def in_metres(values: Tensor, markers: Sequence[Sequence[float]]) -> Tensor:
+    """Points (T, 2 P), x and y of each in turn, from pixels to m, by [pixel x, pixel y, x, y]."""
     if values.shape[1] % 2:
         raise AlignmentError(
             "with markers the columns must be x and y of each point in turn, got "
             f"{values.shape[1]} columns"
         )
-    points = values.unflatten(-1, (-1, 2))
-    return plane_coordinates(points, markers[:, :2], markers[:, 2:]).flatten(-2)
+    pixels, places = torch.tensor(markers, dtype=torch.float64).split(2, dim=1)
+    return plane_coordinates(values.unflatten(-1, (-1, 2)), pixels, places).flatten(-2)
 
 
 def draw(recordings: Recordings, demonstrations: Demonstrations, path: Path) -> None:
@@ -134,7 +129,7 @@ def pair(text: str) -> tuple[str, str]:
 
 
 def options_of_command_line() -> argparse.Namespace:
-    """Read the command line, or end with what is wrong with it."""
+    """Read the command line."""
     parser = parser_of(__doc__)
     option = parser.add_argument
     number = partial(option, type=float)

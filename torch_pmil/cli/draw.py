@@ -34,11 +34,7 @@ LIMITS = {  # of strokes, which the page shows
     "extent": drawing.LEAST_EXTENT,
 }
 PAGE = Path(__file__).parent / "drawing_page"
-FILES = {
-    "": ("index.html", "text/html"),
-    "page.css": ("page.css", "text/css"),
-    "page.js": ("page.js", "text/javascript"),
-}
+FILES = {"": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
 LARGEST_BODY = 16 * 2**20  # bytes; enough for the most and longest strokes at 1 kHz
 PATIENCE = 10  # s, with a browser that opens a connection and sends nothing
 HEADERS = {
@@ -53,17 +49,9 @@ HEADERS = {
 
 
 class DrawingServer(ThreadingHTTPServer):
-    """Serves the page on the loopback interface until a drawing is saved.
+    """Serves the page on the loopback interface until a drawing is saved to an NPZ file.
 
-    It answers only requests with the secret in its address.
-
-    Args:
-        path: the NPZ file to write.
-        time_step: of the demonstrations, in s.
-
-    Attributes:
-        address: the page's URL.
-        saved: the demonstrations, or None before they are saved.
+    It answers only requests with the secret in its address. The time step is in s.
     """
 
     daemon_threads = True
@@ -104,11 +92,10 @@ class DrawingHandler(BaseHTTPRequestHandler):
         name = self.path.removeprefix(self.server.root)
         if name not in FILES:
             return self._answer(HTTPStatus.NOT_FOUND, "there is no such file")
-        file, kind = FILES[name]
-        content = (PAGE / file).read_text(encoding="utf-8")
-        if kind == "text/html":
+        content = (PAGE / (name or "index.html")).read_text(encoding="utf-8")
+        if not name:
             content = Template(content).substitute(LIMITS)
-        self._answer(HTTPStatus.OK, content, kind)
+        self._answer(HTTPStatus.OK, content, FILES[name])
 
     def do_POST(self) -> None:
         """Save the strokes, or answer what is wrong with them."""
@@ -130,9 +117,8 @@ class DrawingHandler(BaseHTTPRequestHandler):
         except (AlignmentError, drawing.DrawingError, OSError) as error:
             print(f"not saved: {in_words(error)}", file=sys.stderr, flush=True)
             return self._answer(HTTPStatus.UNPROCESSABLE_ENTITY, f"Not saved: {in_words(error)}.")
-        count, name = len(saved.positions), self.server.path.name
-        next_step = "see the terminal for how to train."
-        self._answer(HTTPStatus.OK, f"Saved {count} strokes in {name}: {next_step}")
+        said = f"Saved {len(saved.positions)} strokes in {self.server.path.name}"
+        self._answer(HTTPStatus.OK, f"{said}: see the terminal for how to train.")
         self.server.shutdown()
 
     def log_message(self, *arguments: object) -> None:

@@ -11,14 +11,22 @@ from pathlib import Path
 
 from torch_pmil import plotting
 from torch_pmil.checks import check_positive
-from torch_pmil.cli import Parser, add_reading, errors_in_one_line, parser_of
+from torch_pmil.cli import add_reading, errors_in_one_line, parser_of
 from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
 
 
 def main() -> None:
     """Read, print what was understood, draw it if asked."""
-    arguments = _parser().parse_args()
+    parser = parser_of(__doc__)
+    formats = "or folder: NPZ, CSV, LASA, Minari, robomimic or LeRobot"
+    parser.add_argument("file", type=Path, metavar="FILE", help=formats)
+    add_reading(parser, "--time-step")
+    period = "of the robot that will move, in s (default 0.1)"
+    parser.add_argument("--control-period", type=float, default=0.1, metavar="S", help=period)
+    drawn = "draw each entry over time, and paths in a plane"
+    parser.add_argument("--draw", type=Path, metavar="OUT.png", help=drawn)
+    arguments = parser.parse_args()
     file, keys, names = arguments.file, arguments.keys, arguments.names
     with errors_in_one_line(ValueError, ImportError, OSError):
         check_positive("--control-period", arguments.control_period)
@@ -28,8 +36,8 @@ def main() -> None:
         steps = found or ["nothing to do: it is loaded as it is"]
         print("before training", *(f"- {line}" for line in steps), sep="\n")
         if arguments.draw:
-            drawn = read.labels, read.times, read.values, read.names, read.units
-            plotting.save_figure(plotting.plot_recordings(*drawn), arguments.draw)
+            shown = read.labels, read.times, read.values, read.names, read.units
+            plotting.save_figure(plotting.plot_recordings(*shown), arguments.draw)
             print(f"\nwrote {arguments.draw}")
 
 
@@ -40,15 +48,3 @@ def _options(arguments: argparse.Namespace) -> list[str]:
     if arguments.time_step is None:
         return options
     return [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
-
-
-def _parser() -> Parser:
-    parser = parser_of(__doc__)
-    formats = "or folder: NPZ, CSV, LASA, Minari, robomimic or LeRobot"
-    parser.add_argument("file", type=Path, metavar="FILE", help=formats)
-    add_reading(parser, "--time-step")
-    period = "of the robot that will move, in s (default 0.1)"
-    parser.add_argument("--control-period", type=float, default=0.1, metavar="S", help=period)
-    drawn = "draw each entry over time, and paths in a plane"
-    parser.add_argument("--draw", type=Path, metavar="OUT.png", help=drawn)
-    return parser

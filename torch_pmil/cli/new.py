@@ -27,9 +27,9 @@ def main() -> None:
     """Read the command line, write, print what was written and what comes next."""
     parser = parser_of(__doc__)
     parser.add_argument("kind", choices=["robot"], metavar="robot", help="what to write")
-    named: dict[str, Any] = {"metavar": "FOLDER", "nargs": "?"}
-    named["help"] = "folder to write to (default my_robot)"
-    parser.add_argument("folder", type=Path, default=Path("my_robot"), **named)
+    written = "folder to write to (default my_robot)"
+    place: Any = {"nargs": "?", "default": Path("my_robot"), "metavar": "FOLDER", "help": written}
+    parser.add_argument("folder", type=Path, **place)
     folder = parser.parse_args().folder
     with errors_in_one_line(OSError):
         write_template(folder)

@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import secrets
 import sys
-from argparse import Namespace
 from pathlib import Path
 
 from torch_pmil.checks import check_whole
 from torch_pmil.cli import errors_in_one_line, parser_of
 from torch_pmil.plotting.video import check_film_name
-from torch_pmil.runs.playing import SHIPPED, Player, load_player
+from torch_pmil.runs.playing import SHIPPED, load_player
 from torch_pmil.runs.viewer import has_screen
 
 FILM = Path("play.gif")
@@ -27,25 +26,6 @@ FILM = Path("play.gif")
 
 def main() -> None:
     """Read the command line, load, show."""
-    arguments = parsed()
-    out = arguments.out or FILM
-    try:
-        with errors_in_one_line(ImportError, ValueError, OSError, RuntimeError):
-            check_whole("--starts", arguments.starts, 1)
-            check_film_name(out)
-            player = load_player(arguments.run or SHIPPED)
-            if arguments.out is None and player.in_simulator and has_screen():
-                name = player.experiment.name
-                print(f"{name}: close the window, or press Ctrl-C, to end", flush=True)
-                player.show(arguments.seed)
-            else:
-                film(player, out, arguments.starts, arguments.seed)
-    except KeyboardInterrupt:
-        sys.exit(130)
-
-
-def parsed() -> Namespace:
-    """The command line."""
     parser = parser_of(__doc__)
     option, film = parser.add_argument, f".gif or .mp4 file (default {FILM}, if there is no screen)"
     option("run", nargs="?", type=Path, metavar="RUN", help="folder of a finished run")
@@ -53,14 +33,21 @@ def parsed() -> Namespace:
     option("--starts", type=int, default=1, help="number of motions in the file (default 1)")
     seed = secrets.randbelow(2**31)
     option("--seed", type=int, default=seed, help="seed of the starts (default: a random one)")
-    return parser.parse_args()
-
-
-def film(player: Player, path: Path, starts: int, seed: int) -> None:
-    """Write the file, and print what is in it."""
-    succeeded = player.film(path, starts, seed)
-    name = player.experiment.name
-    motions = f"{starts} {'motion' if starts == 1 else 'motions'}"
-    seconds = player.experiment.horizon * player.policy.control_period
-    result = f"{motions} of {seconds:g} s from a fresh start, {succeeded} of {starts} with success"
-    print(f"wrote {path}: {name}, {result}")
+    arguments = parser.parse_args()
+    out, starts = arguments.out or FILM, arguments.starts
+    try:
+        with errors_in_one_line(ImportError, ValueError, OSError, RuntimeError):
+            check_whole("--starts", starts, 1)
+            check_film_name(out)
+            player = load_player(arguments.run or SHIPPED)
+            name, seconds = player.task.name, player.task.horizon * player.policy.control_period
+            if arguments.out is None and player.in_simulator and has_screen():
+                print(f"{name}: close the window, or press Ctrl-C, to end", flush=True)
+                player.show(arguments.seed)
+                return
+            succeeded = player.film(out, starts, arguments.seed)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    motions = f"{starts} {'motion' if starts == 1 else 'motions'} of {seconds:g} s"
+    result = f"{motions} from a fresh start, {succeeded} of {starts} with success"
+    print(f"wrote {out}: {name}, {result}")

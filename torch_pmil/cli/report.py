@@ -20,16 +20,10 @@ def main() -> None:
     folder = parser.parse_args().folder
     with errors_in_one_line(RunError, OSError):
         page = write_report(folder)
-    absent = ""
-    if missing := missing_in(folder):
-        absent = f", without {' and '.join(missing)}: pmil resume {folder} makes them"
-    print(f"wrote {page}{absent}")
-
-
-def missing_in(folder: Path) -> list[str]:
-    """What the folder of a run lacks for a whole report, in words."""
     there = {
         "figures (there are none)": any((folder / "figures").glob("*.png")),
         "video (there is no video.mp4)": (folder / "video.mp4").exists(),
     }
-    return [words for words, found in there.items() if not found]
+    missing = " and ".join(words for words, found in there.items() if not found)
+    absent = f", without {missing}: pmil resume {folder} makes them" if missing else ""
+    print(f"wrote {page}{absent}")

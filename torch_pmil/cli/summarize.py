@@ -18,36 +18,34 @@ from torch_pmil.files import write_json
 from torch_pmil.plotting import plot_success_over_experience, save_figure
 from torch_pmil.runs import summaries
 from torch_pmil.runs.run_folder import provenance
-from torch_pmil.runs.summaries import COVERAGE, RunError, SuccessCurve
+from torch_pmil.runs.summaries import COVERAGE, RunError
 
 SUCCESS_RATE = 0.95  # paper
 EXPERIENCE_S = 33.0  # paper
 INTERVAL = "95 %, Wilson, over runs; runs that ended are carried forward with their saved policy"
+IN_JSON = ("experience_s", "mean", "lower", "upper")  # the rates of each run are in its trials
 HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended because"
 
 
 def headline(runs: list[dict]) -> dict[str, float]:
-    """Main numbers over runs.
+    """Main numbers over runs; the experience is that of all rollouts of the robot.
 
-    ``median_experience_s`` and ``max_experience_s`` count all rollouts of the robot. Runs of a
-    method that predicts nothing have no coverage.
+    Runs of a method that predicts nothing have no coverage.
     """
     experience = [run["experience_s"] for run in runs]
     coverage = [run[COVERAGE] for run in runs if COVERAGE in run]
     return {
         "seeds": len(runs),
-        "learned_within_33s": sum(learned(run) for run in runs),
+        "learned_within_33s": sum(
+            run["saved_success_rate"] >= SUCCESS_RATE and run["experience_s"] <= EXPERIENCE_S
+            for run in runs
+        ),
         "median_experience_s": statistics.median(experience),
         "max_experience_s": max(experience),
         "mean_saved_success_rate": statistics.mean(run["saved_success_rate"] for run in runs),
         "median_wall_seconds": statistics.median(run["wall_seconds"] for run in runs),
         "max_wall_seconds": max(run["wall_seconds"] for run in runs),
     } | ({COVERAGE: statistics.mean(coverage)} if coverage else {})
-
-
-def learned(run: dict) -> bool:
-    """Whether the saved policy reaches the paper's success rate within the paper's experience."""
-    return run["saved_success_rate"] >= SUCCESS_RATE and run["experience_s"] <= EXPERIENCE_S
 
 
 def summarize(folders: list[Path], out: Path | None, command: str) -> None:
@@ -76,7 +74,8 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
         "experiment": names[0],
         **provenance(command),
         "headline": headline(runs),
-        "success_over_experience": plain(curve),
+        "success_over_experience": {"interval": INTERVAL}
+        | {name: getattr(curve, name).tolist() for name in IN_JSON},
         "runs": runs,
     }
     out.mkdir(parents=True, exist_ok=True)
@@ -102,13 +101,6 @@ def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:
         for path, trials in unfinished.items()
     ]
     return "\n".join(lines)
-
-
-def plain(curve: SuccessCurve) -> dict[str, object]:
-    """The curve for JSON; that of each run is in its trials."""
-    return {"interval": INTERVAL} | {
-        name: getattr(curve, name).tolist() for name in ("experience_s", "mean", "lower", "upper")
-    }
 
 
 def main() -> None:

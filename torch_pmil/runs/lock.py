@@ -25,10 +25,8 @@ def alone_in(folder: Path | str) -> Iterator[None]:
     """Keep other runs out of a folder, which is made if it is missing.
 
     The file ``.lock`` in it is locked meanwhile. The lock ends with the process in any case, so a
-    file that is left behind locks nothing. A file system without locks allows several runs.
-
-    Args:
-        folder: of a run. The thread that holds the lock may enter again.
+    file that is left behind locks nothing. The thread that holds the lock may enter again. A file
+    system without locks allows several runs.
 
     Raises:
         RunGoingOnError: another run is there.

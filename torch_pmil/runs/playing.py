@@ -36,41 +36,33 @@ Draw = Callable[[TensorDictBase], Iterator[np.ndarray]]
 class Player:
     """A learned policy on its task.
 
-    Args:
-        experiment: the task, with its robot.
-        policy: the learned policy.
-
     Example:
         >>> player = load_player(SHIPPED)
-        >>> motion = next(player.motions(player.experiment.first_robot(seed=0)))
+        >>> motion = next(player.motions(player.task.first_robot(seed=0)))
         >>> player.succeeds(motion)
         True
     """
 
-    experiment: Task
+    task: Task
     policy: StatePolicy
 
     @property
     def in_simulator(self) -> bool:
         """Whether the robot is one of MuJoCo's, which a viewer can show."""
-        return isinstance(self.experiment.first_robot(seed=0), MujocoRobotEnv)
+        return isinstance(self.task.first_robot(seed=0), MujocoRobotEnv)
 
     def motions(self, env: MujocoRobotEnv | AdaptedEnv) -> Iterator[TensorDictBase]:
         """Rollouts (T,) of the policy, each from a fresh start, without end."""
         while True:
-            yield env.rollout(self.experiment.horizon, self.policy.as_tensordict_module())
+            yield env.rollout(self.task.horizon, self.policy.as_tensordict_module())
 
     def succeeds(self, motion: TensorDictBase) -> bool:
-        """Whether a rollout is a success, as the experiment counts them."""
-        return bool(self.experiment.error(motion) <= self.experiment.tolerance)
+        """Whether a rollout is a success, as the task counts them."""
+        return bool(self.task.error(motion) <= self.task.tolerance)
 
     def show(self, seed: int) -> None:
-        """Show one motion after the other in MuJoCo's viewer, until its window is closed.
-
-        Args:
-            seed: of the starts.
-        """
-        env = self.experiment.first_robot(seed)
+        """Show motions from starts of a seed in MuJoCo's viewer, until its window is closed."""
+        env = self.task.first_robot(seed)
         assert isinstance(env, MujocoRobotEnv)
         replays = (
             env.replay(states_of(motion)[0], motion["action"], env.substeps)
@@ -79,7 +71,7 @@ class Player:
         show(env, replays)
 
     def film(self, path: Path, starts: int, seed: int) -> int:
-        """Film motions one after the other, and return how many of them succeeded.
+        """Film so many motions one after the other, and return how many of them succeeded.
 
         Args:
             path: the file to write or replace, ending in .gif or .mp4.
@@ -100,23 +92,20 @@ class Player:
 
     def _stage(self, seed: int, path: Path) -> tuple[MujocoRobotEnv | AdaptedEnv, Draw, float]:
         """A robot, how its rollouts are drawn, and the pictures per second."""
-        env, frames = self.experiment.first_robot(seed), FRAMES_PER_STEP[path.suffix]
+        env, frames = self.task.first_robot(seed), FRAMES_PER_STEP[path.suffix]
         if isinstance(env, MujocoRobotEnv):
-            draw = drawing_of(env, self.experiment, path)
+            draw = drawing_of(env, self.task, path)
             return (
                 env,
                 lambda motion: draw(states_of(motion)[0], motion["action"], frames),
                 frames / env.control_period,
             )
-        shown = self.experiment.make_env(from_pixels=True, seed=seed)
+        shown = self.task.make_env(from_pixels=True, seed=seed)
         return shown, pictures_of, 1 / shown.control_period
 
 
 def load_player(folder: Path) -> Player:
     """The policy of a finished run, on the run's task.
-
-    Args:
-        folder: of the run, with ``policy.pt`` and ``summary.json``.
 
     Raises:
         RunError: the run is not finished, or its robot is not known by name.
@@ -126,20 +115,31 @@ def load_player(folder: Path) -> Player:
         ImportError: the task needs another library.
 
     Example:
-        >>> load_player(SHIPPED).experiment.name
+        >>> load_player(SHIPPED).task.name
         'double_pendulum'
     """
     for name in ("policy.pt", "summary.json"):
         if not (folder / name).is_file():
             raise RunError(f"{folder} must be the folder of a finished run, but holds no {name}")
-    experiment, policy = _experiment_of(folder), load_policy(folder / "policy.pt")
-    _check_policy(folder / "policy.pt", policy, experiment)
-    return Player(experiment, policy)
+    task, policy = _task_of(folder), load_policy(folder / "policy.pt")
+    wanted = (*task.space.names, *task.demonstrations.target_names)
+    found = (*policy.space.names, *policy.target_names)
+    if found != wanted or len(task.actions.names) != len(policy.actions.names):
+        raise PolicyFileError(
+            f"{folder / 'policy.pt'} must be a policy of {task.name}, from {', '.join(wanted)} to "
+            f"{task.actions}, got one from {', '.join(found)} to {policy.actions}"
+        )
+    return Player(task, policy)
 
 
-def _experiment_of(folder: Path) -> Task:
-    """The experiment of a run, with the demonstrations that it was given."""
-    name = _name_in(folder)
+def _task_of(folder: Path) -> Task:
+    """The task of a run, with the demonstrations that it was given."""
+    try:
+        name = read_json(folder / "summary.json")["experiment"]
+        if not isinstance(name, str):
+            raise TypeError("experiment must be text")
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder}: summary.json is damaged: {error}") from error
     if name not in EXPERIMENTS:
         raise RunError(
             f"{folder} is of {short(name)}, whose robot pmil cannot make: play it in Python, "
@@ -149,29 +149,6 @@ def _experiment_of(folder: Path) -> Task:
     given: dict[str, Any] = read_settings(file) if file.is_file() else {}
     source = given.get("demonstrations")
     return load_experiment(name, None if source is None else demonstrations_from(source))
-
-
-def _name_in(folder: Path) -> str:
-    """The experiment's name in the summary of a run."""
-    try:
-        name = read_json(folder / "summary.json")["experiment"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{folder}: summary.json is damaged: {error}") from error
-    if not isinstance(name, str):
-        raise RunError(f"{folder}: summary.json is damaged: experiment must be text")
-    return name
-
-
-def _check_policy(path: Path, policy: StatePolicy, experiment: Task) -> None:
-    """Raise PolicyFileError unless a policy fits the robot's observation and motors."""
-    wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
-    found = (*policy.space.names, *policy.target_names)
-    actions = experiment.actions, policy.actions
-    if found != wanted or len(actions[0].names) != len(actions[1].names):
-        raise PolicyFileError(
-            f"{path} must be a policy of {experiment.name}, from {', '.join(wanted)} to "
-            f"{actions[0]}, got one from {', '.join(found)} to {actions[1]}"
-        )
 
 
 def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:

@@ -29,9 +29,10 @@ def say(label: str, text: str) -> None:
 
 
 def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print the first ``MOST_WARNINGS`` findings of each cause; raise the first fatal one.
+    """Print the first ``MOST_WARNINGS`` findings of each cause, or raise the first fatal one.
 
-    Raises DemonstrationError.
+    Raises:
+        DemonstrationError: of a fatal finding.
     """
     for finding in findings:
         if finding.fatal:
@@ -79,12 +80,7 @@ def of_predictions(summary: dict) -> str:
 
 
 def of_success(summary: dict) -> str:
-    """How well the saved policy does, and how it was judged.
-
-    Example:
-        >>> of_success({"saved_success_rate": 1.0, "saved_n_eval": 0})
-        "own rollout succeeded (judged by the robot's own rollouts alone)"
-    """
+    """How well the saved policy does, and how it was judged."""
     rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
     if judged_alone(summary):
         ended = "succeeded" if rate else "failed"
@@ -113,17 +109,9 @@ def print_left(label: str, out: Path) -> None:
 
 
 def tell(steps: Iterable[Step]) -> list[str]:
-    """Take each step after a run's end, even if those before it failed.
+    """Take each step after a run's end, even if those before it failed; a line for each failure.
 
-    Args:
-        steps: names of what is made, each with a function that makes it.
-
-    Returns:
-        A line for each step that failed. Ctrl-C stops a step and all those after it.
-
-    Example:
-        >>> tell([("figures", lambda: 1 / 0), ("report", lambda: None)])
-        ['figures: division by zero']
+    Ctrl-C stops a step and all those after it.
     """
     failures, stopped = [], False
     for name, step in steps:

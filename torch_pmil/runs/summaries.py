@@ -29,13 +29,9 @@ class RunError(LineError):
 
 @dataclass(frozen=True, eq=False)
 class SuccessCurve:
-    """Mean success rate over runs.
+    """Success rate of each run, (runs, K), after seconds of experience, (K,).
 
-    Args:
-        experience_s: seconds of experience, (K,).
-        rates: success rate of each run, (runs, K).
-        mean: over runs, (K,).
-        lower, upper: ends of the 95 % interval of the mean, (K,).
+    The mean over runs and the ends of its 95 % interval are (K,).
     """
 
     experience_s: np.ndarray
@@ -96,10 +92,6 @@ def words_of(command: object) -> list[str]:
     Raises:
         ValueError: a shell would not take it, or it is too long: the time to split it grows with
             the square of its length.
-
-    Example:
-        >>> words_of("pmil train out='my run'")
-        ['pmil', 'train', 'out=my run']
     """
     if not isinstance(command, str) or len(command) > COMMAND:
         raise ValueError(f"command must be text of at most {COMMAND} characters")
@@ -163,21 +155,7 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
 
     Between two measurements a run counts with its last one. From the end of its experience on, it
     counts with the rate of its saved policy, measured from new starts. Without fresh starts, the
-    own rollouts count as 0 or 1.
-
-    Args:
-        runs: summaries, see :func:`read_summary`.
-
-    Example:
-        >>> def run(saved, *trials):
-        ...     measured = [{"experience_s": s, "success_rate": rate} for s, rate in trials]
-        ...     experience_s = trials[-1][0] + 2.5
-        ...     summary = {"experience_s": experience_s, "saved_success_rate": saved}
-        ...     return {**summary, "trials": measured}
-        >>> runs = [run(0.9, (2.5, 1.0)), run(0.5, (2.5, 0.0), (5.0, 0.5))]
-        >>> curve = success_over_experience(runs)
-        >>> curve.experience_s.tolist(), curve.rates.tolist()
-        ([2.5, 5.0, 7.5], [[1.0, 0.9, 0.9], [0.0, 0.5, 0.5]])
+    own rollouts count as 0 or 1. The runs are summaries, see :func:`read_summary`.
     """
     measured = [_measurements(run) for run in runs]
     first = max(times[0] for times, _ in measured)
@@ -210,9 +188,7 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     and 1, for which the interval was made. Unlike a bootstrap over the runs, it does not shrink to
     nothing where all runs agree.
 
-    Args:
-        mean: of the draws, from 0 to 1, any shape.
-        count: n, number of draws.
+    The mean of the draws has any shape; ``count`` is n.
 
     Source: E. B. Wilson (1927), Probable inference, the law of succession, and statistical
     inference, JASA 22.

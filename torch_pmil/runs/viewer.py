@@ -46,9 +46,7 @@ def has_screen() -> bool:
 def show(env: MujocoRobotEnv, replays: Iterator[Tensor]) -> None:
     """Show one motion after the other, until the window is closed or Ctrl-C is pressed.
 
-    Args:
-        env: the robot.
-        replays: full simulation states (K, P) of each motion, see ``env.replay``.
+    The replays are the full simulation states (K, P) of each motion, see ``env.replay``.
     """
     data = mujoco.MjData(env.model)
     launch = import_module("mujoco.viewer").launch_passive

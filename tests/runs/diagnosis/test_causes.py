@@ -74,13 +74,9 @@ def test_trajectory_that_leaves_the_prediction_is_named_though_no_step_is_known(
     assert first_departure(standing(10), most_stay) is None
 
 
-def test_a_few_steps_say_nothing_of_a_model() -> None:
+def test_nothing_is_said_from_a_few_steps_or_of_a_robot_that_is_to_stand_still() -> None:
     still, errors = torch.zeros(5, 11, 2).double(), torch.full((FEWEST_STEPS, 2), 9.0)
     assert of_model(errors[1:], still) == "" and of_model(errors, still) != ""
-
-
-def test_task_of_standing_still_says_nothing_of_a_robot_that_does() -> None:
-    still = torch.zeros(3, 5, 2)
     assert check_motion(still, still, torch.tensor(0.1), SETTINGS) is None
 
 
@@ -104,6 +100,7 @@ def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:
 
 
 def test_search_that_is_stuck_from_the_first_step_on() -> None:
+    assert first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), 3.0) is None
     step_loss = torch.tensor([14.0, 30.0])
     assert first_mismatch(step_loss, 3.0) == 1
     found = check_search(step_loss, 1, "KL", "nats", "most in q", [2], 0.1, SETTINGS)

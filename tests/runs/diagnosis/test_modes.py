@@ -1,6 +1,4 @@
-"""Two modes: false alarms are as rare as stated whatever the covariance, and clear modes are found
-with their members.
-"""
+"""Two modes: false alarms are as rare as stated, and clear modes are found with their members."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.helpers.draws import Draws
 from torch_pmil.runs.diagnosis.modes import split_in_two
 
 SETS = 500
@@ -22,16 +21,11 @@ def smooth_sets(count: int, sets: int, lengthscale: float, seed: int) -> Tensor:
     """Trajectories of a Gaussian process in four entries, (sets, count, STEPS, 4)."""
     time = torch.linspace(0, 1, STEPS, dtype=torch.float64)
     cov = (-0.5 * ((time[:, None] - time) / lengthscale).square()).exp() + 1e-6 * torch.eye(STEPS)
-    white = torch.randn(
-        sets, count, STEPS, 4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
-    )
-    return torch.linalg.cholesky(cov) @ white
+    return torch.linalg.cholesky(cov) @ Draws(seed).normal(sets, count, STEPS, 4)
 
 
 def two_ways(count: int, sets: int, separation: float, seed: int) -> Tensor:
-    """Every other one goes around on the other side: apart by ``separation`` standard deviations
-    halfway, the same at both ends.
-    """
+    """Every other one goes around on the other side, halfway by so many standard deviations."""
     bump = torch.linspace(0, math.pi, STEPS, dtype=torch.float64).sin()[:, None]
     side = (torch.arange(count) % 2)[:, None, None]
     return smooth_sets(count, sets, 0.3, seed) + separation * side * bump
@@ -45,23 +39,17 @@ def one_apart(count: int, sets: int, separation: float, seed: int) -> Tensor:
     return moved
 
 
-def share_of_alarms(sets: Tensor, level: float) -> float:
-    return sum(split_in_two(each).p_value < level for each in sets) / len(sets)
-
-
 @pytest.mark.parametrize("count", [3, 4, 5, 7, 10])
 @pytest.mark.parametrize("lengthscale", [0.1, 0.5, 5.0])
 def test_one_gaussian_mode_is_seldom_called_two(count: int, lengthscale: float) -> None:
-    level = 0.05
-    alarms = share_of_alarms(smooth_sets(count, SETS, lengthscale, seed=count), level)
+    level, sets = 0.05, smooth_sets(count, SETS, lengthscale, seed=count)
+    alarms = sum(split_in_two(each).p_value < level for each in sets) / SETS
     assert alarms <= level + 3 * math.sqrt(level * (1 - level) / SETS)
 
 
 @pytest.mark.parametrize("count", [3, 5, 10])
 def test_probability_of_uniform_samples_is_uniform(count: int) -> None:
-    samples = torch.rand(
-        SETS, count, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64
-    )
+    samples = Draws(0).uniform(0, 1, SETS, count, 1)
     probabilities = torch.tensor([split_in_two(each).p_value for each in samples]).sort().values
     distance = (probabilities - (torch.arange(SETS) + 0.5) / SETS).abs().max().item()
     assert distance < 1.95 / math.sqrt(SETS)  # Kolmogorov and Smirnov, 0.1 %
@@ -87,19 +75,14 @@ def test_two_modes_are_found_with_their_members(
 
 
 def test_split_of_points_on_a_line_is_the_best_of_all() -> None:
+    halves = [part for size in range(1, 4) for part in itertools.combinations(range(7), size)]
     for seed in range(20):
-        points = torch.randn(
-            7, 1, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
-        )
+        points = Draws(seed).normal(7, 1)
         scatter = {}
-        for size in range(1, 4):
-            for part in itertools.combinations(range(7), size):
-                other = tuple(sorted(set(range(7)) - set(part)))
-                within = sum(
-                    (points[list(each)] - points[list(each)].mean()).square().sum().item()
-                    for each in (part, other)
-                )
-                scatter[tuple(sorted((part, other)))] = within
+        for part in halves:
+            parts = tuple(sorted((part, tuple(sorted(set(range(7)) - set(part))))))
+            both = (points[list(each)] for each in parts)
+            scatter[parts] = sum((each - each.mean()).square().sum().item() for each in both)
         split = split_in_two(points)
         assert split.parts == min(scatter, key=scatter.get)
         total = (points - points.mean()).square().sum().item()
@@ -108,13 +91,10 @@ def test_split_of_points_on_a_line_is_the_best_of_all() -> None:
 
 def test_turning_shifting_and_scaling_all_changes_nothing() -> None:
     one = smooth_sets(6, 1, 0.3, seed=0)[0].flatten(1)
-    turn = torch.linalg.qr(
-        torch.randn(104, 104, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    )[0]
+    turn = torch.linalg.qr(Draws(0).normal(104, 104))[0]
     plain, moved = split_in_two(one), split_in_two(3 * one @ turn + 7)
-    assert (plain.parts, plain.p_value) == (moved.parts, moved.p_value) and math.isclose(
-        plain.explained, moved.explained
-    )
+    assert (plain.parts, plain.p_value) == (moved.parts, moved.p_value)
+    assert math.isclose(plain.explained, moved.explained)
 
 
 def test_two_trajectories_or_copies_have_no_split() -> None:

@@ -19,6 +19,7 @@ from torch_pmil.runs.report import write_report
 from torch_pmil.runs.report.tables import _flat, unit_of
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.strokes import lasa_strokes
 
 MEASURED = TRIAL | {"own_error": 0.3}
 LEARNED = MEASURED | {"loss": None, "stop_reason": "iterations"}
@@ -90,17 +91,11 @@ def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_pat
     assert re.findall(r'width="(\d+)" height="(\d+)"', page) == 5 * [("200", "100")]
 
 
-@pytest.mark.parametrize(
-    ("rate", "said"),
-    [
-        (1.0, "It learned: 20 of"),
-        (0.5, "It learned in part: 10 of"),
-        (0.0, "It did not learn: none of"),
-    ],
-)
-def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, said: str) -> None:
-    page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate": rate}))
-    assert f">{said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
+def test_headline_says_in_words_whether_it_learned(tmp_path: Path) -> None:
+    of = {1.0: "It learned: 20", 0.5: "It learned in part: 10", 0.0: "It did not learn: none"}
+    for rate, said in of.items():
+        page = page_of(run_of(tmp_path / said, OLD | {"saved_success_rate": rate}))
+        assert f">{said} of 20 fresh starts succeed, after 5 s of experience.</h1>" in page
 
 
 ALONE = MEASURED | {"success_rate": None, "n_eval": 0, "cut_short": "", "own_success": True}
@@ -121,7 +116,9 @@ def test_page_says_where_own_rollouts_alone_judge(tmp_path: Path, rate: float, s
     assert "from fresh starts" not in page and "success rate" not in page
 
 
-def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
+def test_diagnosis_and_a_failed_prediction_are_said_if_there_is_one(tmp_path: Path) -> None:
+    page = page_of(run_of(tmp_path / "run", OLD | {"prediction_error": "it diverged at step 7"}))
+    assert "cannot predict the saved policy (it diverged at step 7)" in page
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
     assert "<li><strong>search stuck</strong>: at step 7</li>" in page
@@ -167,26 +164,21 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
         ["tau", "25 %"],
     ):
         assert row in rows
-    assert "objective (nats)" in rows[0]
-
-
-def test_own_error_is_shown_in_tolerances_and_without_one_as_it_is(tmp_path: Path) -> None:
+    assert "objective (nats)" in rows[0] and "own error (unit of the task)" in rows[0]
     given = OLD | {"settings": {"tolerance": 0.2}}
-    with_tolerance = rows_of(page_of(run_of(tmp_path / "a", given)))
-    assert "own error, of the tolerance" in with_tolerance[0] and "150 %" in with_tolerance[1]
-    without = rows_of(page_of(run_of(tmp_path / "b", OLD)))
-    assert "own error (unit of the task)" in without[0] and "0.3" in without[1]
+    rows = rows_of(page_of(run_of(tmp_path / "with a tolerance", given)))
+    assert "own error, of the tolerance" in rows[0] and "150 %" in rows[1]
 
 
 def test_every_setting_that_is_a_number_has_a_unit() -> None:
     for name in EXPERIMENTS:
-        shape = "Angle" if name == "handwriting" else None
-        experiment = load_experiment(name, shape=shape)
-        match_space = experiment.space.match_space
+        strokes = lasa_strokes("Angle") if name.startswith("handwriting") else None
+        task = load_experiment(name, strokes)
+        match_space = task.space.match_space
         known = dict(zip(match_space.names, match_space.units, strict=True))
-        units = {"objective": experiment.objective.unit, "demonstrations": known}
-        for setting, value in _flat(experiment.settings):
-            if value not in ("–", "yes", "no"):
+        units = {"objective": task.objective.unit, "demonstrations": known}
+        for setting, value in _flat(task.settings):
+            if value not in ("–", "yes", "no", "LBFGS"):
                 assert unit_of(setting, {"units": units}), (name, setting)
 
 
@@ -201,11 +193,6 @@ def test_pages_of_the_documentation_are_links_where_they_are_there(
     monkeypatch.setattr(torch_pmil, "__file__", str(tmp_path / "site-packages" / "__init__.py"))
     page = page_of(folder)
     assert "<a " not in page and "<code>docs/how_to/deploy.md</code>" in page
-
-
-def test_prediction_that_failed_is_said(tmp_path: Path) -> None:
-    page = page_of(run_of(tmp_path / "run", OLD | {"prediction_error": "it diverged at step 7"}))
-    assert "cannot predict the saved policy (it diverged at step 7)" in page
 
 
 def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ import pytest
 from PIL import Image
 
 from tests.helpers.run_script import run_command
-from tests.helpers.short_run import quick_fits, short_experiment
-from torch_pmil.tasks.registry import EXPERIMENTS
+from tests.helpers.short_run import quick_fits, replace_task, short_experiment
 
+pytestmark = pytest.mark.slow
 WIDTHS = {"phone": 375, "desktop": 1200}
 
 
@@ -22,9 +21,8 @@ WIDTHS = {"phone": 375, "desktop": 1200}
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a run of the first steps of the double pendulum."""
     folder = tmp_path_factory.mktemp("run")
-    short = replace(short_experiment(6), num_centres=5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+        replace_task(patch, short_experiment(6))
         quick_fits(patch)
         run_command(patch, "train", "trials=2", "seed=2", "logger=null", f"out={folder}")
     return folder / "report.html"
@@ -53,20 +51,17 @@ class Visit:
 )
 def visit(request: pytest.FixtureRequest, browser: object, report: Path) -> Iterator[Visit]:
     width, scheme = request.param
-    context = browser.new_context(
-        viewport={"width": WIDTHS[width], "height": 700}, color_scheme=scheme
-    )
+    viewport = {"width": WIDTHS[width], "height": 700}
+    context = browser.new_context(viewport=viewport, color_scheme=scheme)
     yield Visit(context, report)
     context.close()
 
 
-@pytest.mark.slow
 def test_nothing_is_said_in_the_console_and_nothing_is_asked_for(visit: Visit) -> None:
     assert visit.said == []
     assert visit.asked == ["file:"]
 
 
-@pytest.mark.slow
 def test_all_pictures_are_shown_and_the_video_plays(visit: Visit) -> None:
     pictures = visit.page.evaluate(
         "Promise.all([...document.images].map(async (i) => (await i.decode(), [i.naturalWidth, "
@@ -81,7 +76,6 @@ def test_all_pictures_are_shown_and_the_video_plays(visit: Visit) -> None:
     visit.page.wait_for_function("document.querySelector('video').currentTime > 0")
 
 
-@pytest.mark.slow
 def test_page_is_no_wider_than_the_screen_and_tables_scroll(visit: Visit) -> None:
     page, width = visit.page, visit.page.viewport_size["width"]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -94,7 +88,6 @@ def test_page_is_no_wider_than_the_screen_and_tables_scroll(visit: Visit) -> Non
     assert trials.evaluate("e => e.scrollWidth > e.clientWidth") == (width == WIDTHS["phone"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".picture", ".table"])
 def test_what_scrolls_has_a_shade_where_there_is_more(visit: Visit, kind: str) -> None:
     box = visit.page.locator(kind).first
@@ -112,7 +105,6 @@ def shades(box: object) -> tuple[bool, bool]:
     return tuple(abs(bottom[at] - ground) > 20 for at in (3, -4))
 
 
-@pytest.mark.slow
 def test_text_can_be_told_from_its_ground(visit: Visit) -> None:
     ratios = visit.page.evaluate(CONTRASTS)
     assert len(ratios) > 20 and min(ratios) >= 4.5  # WCAG 2, level AA

@@ -1,4 +1,4 @@
-"""Why a run of an experiment did not learn."""
+"""Why a run did not learn."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from torch_pmil.tasks.task import Task
 
 @torch.no_grad()
 def likely_reasons(
-    experiment: Task,
+    task: Task,
     loss: TrajectoryLoss,
     outcomes: Sequence[Outcome],
     horizons: Sequence[int],
@@ -52,7 +52,7 @@ def likely_reasons(
     targets, the worst one is examined.
 
     Args:
-        experiment: what was to be learned.
+        task: what was to be learned.
         loss: with the saved policy and the newest model.
         outcomes: what that policy was predicted to do, and did.
         horizons: steps up to which the search of each trial went.
@@ -61,21 +61,21 @@ def likely_reasons(
     Returns:
         An empty list for a run that learned, at least one reason for any other.
     """
-    failures = [outcome.errors > experiment.tolerance for outcome in outcomes]
+    failures = [outcome.errors > task.tolerance for outcome in outcomes]
     failed = torch.cat(failures)
     if (~failed).double().mean() >= LEARNED:
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
-    found = group(check(experiment))
-    evidence = evidence_of_the_past(experiment, loss.dynamics.targets, recorded)
+    found = group(check(task))
+    evidence = evidence_of_the_past(task, loss.dynamics.targets, recorded)
     past = check_past(evidence) if evidence else None
-    search = _Search(experiment, loss, outcomes, loss.step_loss_for_trust(experiment.initial))
-    step = first_mismatch(search.step_loss, experiment.method.search.trust_threshold)
-    led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
-    beyond = [] if led else _of_the_model(experiment, loss.dynamics, outcome, experiment.horizon)
+    search = _Search(task, loss, outcomes, loss.step_loss_for_trust(task.initial))
+    step = first_mismatch(search.step_loss, task.method.search.trust_threshold)
+    led = _of_the_model(task, loss.dynamics, outcome, step or task.horizon)
+    beyond = [] if led else _of_the_model(task, loss.dynamics, outcome, task.horizon)
     reasons = [
         *(reason for reason in found if reason.cause != FEW),
-        *_of_the_robot(experiment, outcome),
+        *_of_the_robot(task, outcome),
         *([past] if past else []),
         *led,
         *([search.stuck(step, horizons)] if step else []),
@@ -84,53 +84,50 @@ def likely_reasons(
     ]
     if reasons:
         return reasons
-    promise, counted = experiment.promised, (int(failed.sum()), len(failed))
-    promised = promise.predicted(loss, experiment.initial).least if promise else None
+    promise, counted = task.promised, (int(failed.sum()), len(failed))
+    promised = promise.predicted(loss, task.initial).least if promise else None
     if chance := check_chance(*counted, promised):
         return [chance]
-    return [unexplained(*counted, experiment.tolerance, search.largest(), experiment.adjustable)]
+    return [unexplained(*counted, task.tolerance, search.largest(), task.adjustable)]
 
 
-def known_steps(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
+def known_steps(task: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
     """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
-    At these the state is within the limits of the states that the model learns from, or within the
-    largest values of its data, and no predicted standard deviation is above half of that without
-    data.
+    There the state is within the limits of the states that the model learns from, or within the
+    largest values of its data. No predicted standard deviation is above half of that without data.
     """
     before, expansion = outcome.executed[:, :-1], dynamics.expansion
-    inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
+    inputs = torch.cat([task.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = expansion.predict(inputs)
     sure = (variance <= LITTLE**2 * expansion.signal_variance).all(-1)
-    plain = list(experiment.space.plain)  # the first features; angles have no limit
+    plain = list(task.space.plain)  # the first features; angles have no limit
     reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
-    limits = torch.maximum(experiment.limits[plain], reached)
+    limits = torch.maximum(task.limits[plain], reached)
     return sure & (before[..., plain].abs() <= limits).all(-1)
 
 
-def _of_the_robot(experiment: Task, outcome: Outcome) -> list[Reason]:
+def _of_the_robot(task: Task, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
-    outcome, torques = outcome.compared, needed_torques(experiment)
+    outcome, torques = outcome.compared, needed_torques(task)
     needed = None if torques is None else torques.abs().amax((0, 1))
-    moved, shown = experiment.space.observe(outcome.executed), outcome.demonstrations.positions
-    noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    moved, shown = task.space.observe(outcome.executed), outcome.demonstrations.positions
+    noise_std = torch.as_tensor(task.noise_std, dtype=torch.float64)
     return _found(
         outcome,
-        check_saturation(outcome.rollouts["action"], experiment.actions, needed),
-        check_motion(moved, shown, noise_std, experiment.adjustable),
+        check_saturation(outcome.rollouts["action"], task.actions, needed),
+        check_motion(moved, shown, noise_std, task.adjustable),
     )
 
 
-def _of_the_model(
-    experiment: Task, dynamics: GPDynamics, outcome: Outcome, steps: int
-) -> list[Reason]:
+def _of_the_model(task: Task, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
     """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
     outcome = outcome.compared
     actions, time_step = outcome.rollouts["action"], outcome.demonstrations.time_step
-    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)
-    residuals, known = residuals[:, :steps], known_steps(experiment, dynamics, outcome)[:, :steps]
+    residuals = standardised_residuals(dynamics, task.space, outcome.executed, actions)
+    residuals, known = residuals[:, :steps], known_steps(task, dynamics, outcome)[:, :steps]
     predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
-    names, settings = experiment.space.names, experiment.adjustable
+    names, settings = task.space.names, task.adjustable
     return _found(
         outcome,
         check_model(residuals[known], predicted, executed, names, time_step, settings),
@@ -149,7 +146,7 @@ def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
 class _Search:
     """Losses of the steps t = 1..T under the newest model, (T,), and what they come from."""
 
-    experiment: Task
+    task: Task
     loss: TrajectoryLoss
     outcomes: Sequence[Outcome]
     step_loss: Tensor
@@ -163,16 +160,14 @@ class _Search:
 
     def stuck(self, step: int, horizons: Sequence[int]) -> Reason:
         """Why the search is stuck at a step."""
-        time_step, settings = self.experiment.demonstrations.time_step, self.experiment.adjustable
+        of_task = self.task.demonstrations.time_step, self.task.adjustable
         mismatch = self.mismatch(step)
-        return check_search(
-            self.step_loss, step, *self.named, mismatch, horizons, time_step, settings
-        )
+        return check_search(self.step_loss, step, *self.named, mismatch, horizons, *of_task)
 
     def largest(self) -> str:
         """The largest loss of a step, in words."""
         step, (name, unit) = int(self.step_loss.argmax()) + 1, self.named
-        time = step * self.experiment.demonstrations.time_step
+        time = step * self.task.demonstrations.time_step
         return (
             f"the {name} of a step is at most {self.step_loss[step - 1]:.3g} {unit}, at "
             f"{time:.2f} s, {self.mismatch(step)}"
@@ -182,7 +177,7 @@ class _Search:
         """The entry in which prediction and demonstrations of the worst target differ most."""
         if not isinstance(self.loss, TrajectoryKLLoss):
             return "where the prediction is too wide to be followed"
-        match_space, noise = self.experiment.space.match_space, self.experiment.noise_std**2
+        match_space, noise = self.task.space.match_space, self.task.noise_std**2
         pairs = [
             (
                 outcome.demonstrated[step - 1],

@@ -1,4 +1,4 @@
-"""Checks of an experiment's demonstrations before anything is learned from them."""
+"""Checks of a task's demonstrations before anything is learned from them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ STRETCH = 20  # steps in a row, where the demonstrations have more in all
 MARGIN = 3  # steps before and after a stretch, which its spline goes through
 
 
-def check(experiment: Task) -> list[Finding]:
-    """Check the demonstrations of an experiment; those shipped have no finding.
+def check(task: Task) -> list[Finding]:
+    """Check the demonstrations of a task; those shipped have no finding.
 
     Modes, jumps and the number are checked for each target. Reach and torques are checked if the
-    experiment's states were recovered sample by sample, and as far as the robot knows its stops and
+    task's states were recovered sample by sample, and as far as the robot knows its stops and
     its inverse dynamics. It takes seconds for 1,000 demonstrations or 20,000 samples.
 
     Example:
@@ -40,9 +40,9 @@ def check(experiment: Task) -> list[Finding]:
         >>> check(load_experiment("double_pendulum"))
         []
     """
-    demonstrations = experiment.demonstrations
-    noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
-    start = experiment.space.match_space.moments(experiment.initial)
+    demonstrations = task.demonstrations
+    noise_std = torch.as_tensor(task.noise_std, dtype=torch.float64)
+    start = task.space.match_space.moments(task.initial)
     sets: Sequence[Demonstrations]
     if demonstrations.targets is None:
         sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
@@ -53,7 +53,7 @@ def check(experiment: Task) -> list[Finding]:
             for target in targets
         ]
     return [
-        *_check_robot(experiment, noise_std),
+        *_check_robot(task, noise_std),
         *check_start(demonstrations, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
         *check_modes(sets, numbers, noise_std),
@@ -63,49 +63,43 @@ def check(experiment: Task) -> list[Finding]:
     ]
 
 
-def _check_robot(experiment: Task, noise_std: torch.Tensor) -> list[Finding]:
+def _check_robot(task: Task, noise_std: torch.Tensor) -> list[Finding]:
     """Findings on motions that the robot itself cannot do."""
-    demonstrations, time_step = experiment.demonstrations, experiment.demonstrations.time_step
+    demonstrations, time_step = task.demonstrations, task.demonstrations.time_step
     N, samples, _ = demonstrations.positions.shape
-    if len(experiment.demonstrated_states) != N * samples:
+    if len(task.demonstrated_states) != N * samples:
         return []
-    states = experiment.demonstrated_states.reshape(N, samples, -1)
-    env, shown = experiment.first_robot(seed=0), experiment.space.observe(states)
+    states = task.demonstrated_states.reshape(N, samples, -1)
+    env, shown = task.first_robot(seed=0), task.space.observe(states)
     findings = check_reach(demonstrations, shown, noise_std)
     findings = findings or check_body(demonstrations, shown, noise_std)
-    if experiment.state_box is not None:
-        findings += check_box(experiment.state_box, states)
+    if task.state_box is not None:
+        findings += check_box(task.state_box, states)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, time_step)
-    torques = None if findings else needed_torques(experiment)
+    torques = None if findings else needed_torques(task)
     if torques is not None and env.torque_limits is not None:
         findings += check_torques(torques, env.torque_limits, env.action_names, time_step)
     return findings
 
 
-def needed_torques(experiment: Task) -> torch.Tensor | None:
+def needed_torques(task: Task) -> torch.Tensor | None:
     """Torques along the demonstrations, (N, T, F), N·m.
 
     Beyond 400 steps in all, the torques of 400 steps are computed, in stretches of 20: half of them
     with the largest second differences of what was shown, the others evenly spaced over all
     demonstrations. The torques of other steps are 0.
 
-    Returns:
-        None if the experiment's states were not recovered sample by sample, or the robot does not
-        know its inverse dynamics.
-
-    Example:
-        >>> from torch_pmil.tasks.registry import load_experiment
-        >>> needed_torques(load_experiment("double_pendulum")).abs().amax() < 1.3 * 3.5
-        tensor(True)
+    None if the states were not recovered sample by sample, or the robot does not know its inverse
+    dynamics.
     """
-    N, samples, _ = experiment.demonstrations.positions.shape
-    if len(experiment.demonstrated_states) != N * samples or samples < 3:
+    N, samples, _ = task.demonstrations.positions.shape
+    if len(task.demonstrated_states) != N * samples or samples < 3:
         return None
-    env = experiment.first_robot(seed=0)
-    motions = experiment.demonstrated_states.reshape(N, samples, -1)
-    torques = torch.zeros(N, samples - 1, len(experiment.actions.names), dtype=torch.float64)
-    for number, first, last in _stretches(experiment):
+    env = task.first_robot(seed=0)
+    motions = task.demonstrated_states.reshape(N, samples, -1)
+    torques = torch.zeros(N, samples - 1, len(task.actions.names), dtype=torch.float64)
+    for number, first, last in _stretches(task):
         begin = max(first - MARGIN, 0)
         found = env.needed_torques(motions[number, begin : last + MARGIN + 1])
         if found is None:
@@ -114,9 +108,9 @@ def needed_torques(experiment: Task) -> torch.Tensor | None:
     return torques
 
 
-def _stretches(experiment: Task) -> list[tuple[int, int, int]]:
+def _stretches(task: Task) -> list[tuple[int, int, int]]:
     """Demonstration, first step and last (excluded) of the steps whose torques are computed."""
-    positions = experiment.demonstrations.positions / experiment.noise_std
+    positions = task.demonstrations.positions / task.noise_std
     N, T = len(positions), positions.shape[1] - 1
     if N * T <= TORQUE_STEPS:
         return [(number, 0, T) for number in range(N)]

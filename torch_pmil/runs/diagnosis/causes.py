@@ -40,12 +40,7 @@ LATEST = 3  # trials in which a search should come further
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a run did not learn.
-
-    Args:
-        cause: its name, one of a few.
-        message: one or two sentences with the numbers, and what to do about it.
-    """
+    """Why a run did not learn: one of a few causes, the numbers, and what to do about it."""
 
     cause: str
     message: str
@@ -79,8 +74,8 @@ def larger_motion(settings: Mapping[str, Any]) -> str:
     """A setting for a larger first motion, as NAME=VALUE.
 
     Example:
-        >>> larger_motion({"random_action": 0.4}), larger_motion({"random_action": 0.8})
-        ('random_action=0.8', 'random_action=1')
+        >>> larger_motion({"random_action": 0.8})
+        'random_action=1'
     """
     if "exploration.reach" in settings:
         return scaled(settings, "exploration.reach", 1.5)
@@ -117,17 +112,8 @@ def check_cut_short(ends: Sequence[str]) -> Reason | None:
 def check_saturation(actions: Tensor, space: ActionSpace, needed: Tensor | None) -> Reason | None:
     """A reason if an action is at the end of its range most of the time.
 
-    The largest torques that the demonstrations need, (F,), N·m, or None if unknown, are compared
-    with actions that are torques.
-
-    Example:
-        >>> import torch
-        >>> space = ActionSpace.around(torch.zeros(1), torch.ones(1), ["tau"], ["N·m"])
-        >>> reason = check_saturation(torch.ones(20, 25, 1), space, torch.tensor([3.0]))
-        >>> for part in reason.message.split(", ")[:2]:
-        ...     print(part.partition(";")[0])
-        action tau (N·m) is near the end of its range from -1 to 1 in 100 % of the steps
-        and the demonstrations need up to 3.0 N·m
+    Actions that are torques are compared with the largest that the demonstrations need, (F,), N·m,
+    None if unknown.
     """
     fraction = saturated_fraction(actions, space)
     worst = int(fraction.argmax())
@@ -157,15 +143,7 @@ def check_saturation(actions: Tensor, space: ActionSpace, needed: Tensor | None)
 def check_motion(
     executed: Tensor, demonstrated: Tensor, noise_std: Tensor, settings: Mapping[str, Any]
 ) -> Reason | None:
-    """A reason if the robot hardly moved; arguments as for :func:`moved_fraction`.
-
-    Example:
-        >>> import torch
-        >>> way = torch.linspace(0, 1, 5)[None, :, None]
-        >>> reason = check_motion(0.1 * way, way, torch.tensor(0.05), {"random_action": 0.4})
-        >>> reason.message.partition(":")[0]
-        'the robot moved 10 % as far from its start as the demonstrations'
-    """
+    """A reason if the robot hardly moved; arguments as for :func:`moved_fraction`."""
     moved = moved_fraction(executed, demonstrated, noise_std)
     if not moved < MOVED:  # demonstrations that stand still give no number
         return None
@@ -174,7 +152,7 @@ def check_motion(
         f"the robot moved {_percent(moved)} as far from its start as the demonstrations: torques "
         "that do not overcome gravity or static friction teach the model nothing; make the first "
         f"motion larger ({larger_motion(settings)}), and begin at actions that hold the robot "
-        "(holding_actions of an Task)",
+        "(holding_actions of a Task)",
     )
 
 
@@ -190,14 +168,6 @@ def check_model(
 
     The residuals (S, D) are one-step errors of rollouts that the model was not fitted to, in
     predicted standard deviations.
-
-    Example:
-        >>> import torch
-        >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
-        >>> residuals, executed = torch.full((30, 1), 4.0), torch.full((10, 4, 1), 4.0)
-        >>> reason = check_model(residuals, still, executed, ("q",), 0.1, {"random_action": 0.4})
-        >>> reason.message.partition(", lie within")[0]
-        '0 % of the one-step errors in q, and 0 % of the executed states'
     """
     covered, followed = covered_fraction(residuals), two_sigma_coverage(predicted, executed)
     enough = len(residuals) >= FEWEST_STEPS
@@ -220,14 +190,7 @@ def check_model(
 
 
 def check_past(evidence: PastEvidence) -> Reason | None:
-    """A reason if the next state depends on what came before the present one.
-
-    Example:
-        >>> check_past(PastEvidence({1: -3.0, 2: -9.0}, 4.0, 200, 0.1))
-        >>> late = check_past(PastEvidence({1: 380.0, 2: 73.0}, 63.0, 200, 0.1))
-        >>> late.message.partition(" (")[0]
-        'the action 0.10 s before explains the motion 380 nats better than state and action alone'
-    """
+    """A reason if the next state depends on what came before the present one."""
     of_action, of_state = evidence.of_actions[evidence.periods], evidence.of_state
     if max(of_state, of_action) <= EVIDENCE:
         return None
@@ -253,18 +216,9 @@ def check_past(evidence: PastEvidence) -> Reason | None:
 def check_experience(
     unknown: Tensor, data: int, time_step: float, settings: Mapping[str, Any]
 ) -> Reason | None:
-    """A reason if the experience is far from where the policy goes.
+    """A reason if the experience, so many transitions, is far from where the policy goes.
 
-    Args:
-        unknown: whether the model knows little at steps t = 0..T-1 of rollouts, bool, (N, T).
-        data: number of transitions that the model was fitted to.
-
-    Example:
-        >>> import torch
-        >>> away = torch.arange(10) >= 4
-        >>> reason = check_experience(away.expand(20, -1), 50, 0.1, {"random_action": 0.4})
-        >>> reason.message.partition(", the model")[0]
-        'in 60 % of the executed steps, first at 0.40 s'
+    At the ``unknown`` steps t = 0..T-1 of rollouts, bool, (N, T), the model knows little.
     """
     share = unknown.double().mean()
     if share <= UNKNOWN:
@@ -295,13 +249,6 @@ def check_search(
         name, unit: of the loss.
         mismatch: what does not match there, in words.
         horizons: step up to which the search of each trial went.
-
-    Example:
-        >>> import torch
-        >>> step_loss = torch.tensor([0.1, 0.5, 14.0, 30.0])
-        >>> reason = check_search(step_loss, 3, "KL", "nats", "most in q", [2], 0.1, {})
-        >>> reason.message.partition(";")[0]
-        'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
     """
     rise, hint = "is", "more trials may lead them further"
     if step > 1:
@@ -322,15 +269,15 @@ def check_search(
 
 
 def check_chance(failed: int, count: int, promised: float | None) -> Reason | None:
-    """A reason if a policy whose success is predicted may well have so many failures by chance.
+    """A reason if chance explains that so many rollouts failed of a policy predicted to succeed.
 
-    ``failed`` of ``count`` rollouts failed; the model predicts at least the success rate
-    ``promised``, or None.
+    Args:
+        failed: number of rollouts that failed, of ``count``.
+        promised: success rate that the model predicts at least, if it does.
 
     Example:
         >>> check_chance(2, 20, 0.976).message.partition(";")[0]
         '2 of 20 rollouts failed, though the model predicts that 97.6 % of the starts succeed'
-        >>> check_chance(2, 20, 0.994)
     """
     if promised is None or promised < LEARNED:
         return None
@@ -348,10 +295,9 @@ def check_chance(failed: int, count: int, promised: float | None) -> Reason | No
 def unexplained(
     failed: int, count: int, tolerance: float, largest: str, settings: Mapping[str, Any]
 ) -> Reason:
-    """The reason for a run in which only the success rate is wrong.
+    """The reason where ``failed`` of ``count`` rollouts fail, and all else is right.
 
-    ``failed`` of ``count`` rollouts have an error above the tolerance; ``largest`` is what is left
-    of the objective, in words.
+    ``largest`` is what is left of the objective, in words.
     """
     return Reason(
         "success criterion",

@@ -38,12 +38,9 @@ FEW = "too few demonstrations"  # another one
 
 @dataclass(frozen=True)
 class Finding:
-    """A flaw of demonstrations, in words.
+    """A flaw of demonstrations: one of a few causes, and a line with what, where and what to do.
 
-    Args:
-        cause: its name, one of a few.
-        message: one line: what, where, what to do.
-        fatal: whether nothing good can come of it.
+    Nothing good can come of a fatal one.
     """
 
     cause: str
@@ -54,16 +51,7 @@ class Finding:
 def check_modes(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Find two modes in the demonstrations of one target, or one demonstration unlike the others.
-
-    Example:
-        >>> way = torch.linspace(0, torch.pi, 20).sin()
-        >>> ways = torch.stack([sign * way + 0.01 * k for sign in (-1, 1) for k in range(4)])
-        >>> shown = Demonstrations(ways[..., None], 0.1, ("x",))
-        >>> found = check_modes([shown], [range(8)], torch.tensor(0.1))
-        >>> found[0].message.partition(" (")[0]
-        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 show two different ways'
-    """
+    """Find two modes in the demonstrations of one target, or one of them unlike the others."""
     findings = []
     for demonstrations, known in zip(sets, numbers, strict=True):
         split = split_in_two(demonstrations.positions / noise_std)
@@ -130,8 +118,7 @@ def check_length(demonstrations: Demonstrations) -> list[Finding]:
 def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
     """Find demonstrations that are copies of one another: they show less spread than there is.
 
-    Only those that begin alike are compared as a whole. A copy is named with the first that it is
-    like.
+    Only those that begin alike are compared as a whole. A copy is named with its first original.
     """
     scaled = demonstrations.positions / noise_std
     copies: dict[int, int] = {}
@@ -201,12 +188,9 @@ def check_jumps(
 
 
 def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
-    """Find places where the robot cannot be.
+    """Find places where the robot cannot be, by what it shows in the recovered states.
 
-    Args:
-        demonstrations: N of them.
-        shown: what the robot shows in the states that were recovered from them, (N, T + 1, M).
-        noise_std: observation noise.
+    ``shown`` is (N, T + 1, M), as the positions of the demonstrations.
     """
     apart = (demonstrations.positions - shown).abs()
     return [
@@ -229,11 +213,6 @@ def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor)
     :math:`\sigma_{\mathrm{obs}} / \sqrt N`. Another body or another base has shown a mean that is
     farther from all that the robot can show (by :math:`\chi^2` over all entries and times), and
     more than the noise somewhere. Arguments as for :func:`check_reach`.
-
-    Example:
-        >>> at = torch.zeros(5, 10, 1)
-        >>> check_body(Demonstrations(at + 0.08, 0.1, ("x",)), at, torch.tensor(0.05))[0].cause
-        'demonstrations out of reach'
     """
     positions = demonstrations.positions
     off = (positions - shown).mean(0)  # (T + 1, M)

@@ -53,12 +53,6 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
     """First step t, and entry, where most rollouts are beyond two predicted standard deviations.
 
     None if they never are.
-
-    Example:
-        >>> import torch
-        >>> predicted = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
-        >>> first_departure(predicted, torch.tensor([[[0.0], [1.0], [3.0]]]))
-        (2, 0)
     """
     inside = within_two_sigma(predicted, executed).mean(0)
     left = (inside < 0.5).any(-1).nonzero().flatten()
@@ -76,7 +70,6 @@ def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
         >>> import torch
         >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trust_threshold=3.0)
         3
-        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), trust_threshold=3.0)
     """
     if step_loss.amax() <= MISMATCH * trust_threshold:
         return None
@@ -86,12 +79,11 @@ def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
 def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
     """Distance of the robot from its start over that of the demonstrations.
 
-    Both are trajectories in the match space, (N, T + 1, M); distances are in standard deviations of
-    the observation noise, () or (M,).
+    Both are trajectories in the match space, (N, T + 1, M). A distance is the median of their
+    largest ones, in standard deviations of the observation noise, () or (M,).
     """
-    return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
-
-
-def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
-    """Largest distance from the start, the median over trajectories (N, T + 1, M)."""
-    return ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()
+    moved, shown = (
+        ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()
+        for positions in (executed, demonstrated)
+    )
+    return (moved / shown).item()

@@ -27,11 +27,9 @@ class Split:
     """The best split of N trajectories in two.
 
     Attributes:
-        parts: numbers of the trajectories of each part, increasing, the first of them in the first
-            part.
+        parts: numbers of the trajectories of each part, increasing; number 0 is in the first one.
         p_value: probability of a split as clear or clearer in a uniform sample of the same size.
-        explained: share of the squared scatter of whole trajectories, in all directions, that the
-            difference of the parts makes up.
+        explained: share of all squared scatter that the difference of the parts makes up.
     """
 
     parts: tuple[tuple[int, ...], tuple[int, ...]]
@@ -70,9 +68,9 @@ def split_in_two(trajectories: Tensor) -> Split | None:
 
 
 def _scatter_within(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least scatter within two parts of sorted scores (S, N) over the total, and where to cut.
+    """Least scatter within two parts of sorted scores (S, N) over the total, (S,), and the cut.
 
-    Both are (S,); the cut is the index of the last score of the first part.
+    The cut is the index of the last score of the first part, (S,).
     """
     centred = scores - scores.mean(1, keepdims=True)
     count = np.arange(1, scores.shape[1])

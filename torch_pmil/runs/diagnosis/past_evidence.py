@@ -26,8 +26,8 @@ class PastEvidence:
     """Nats by which the past explains a motion better than state and action alone.
 
     Args:
-        of_actions: those of the action so many control periods before.
-        of_state: those of how the state changed over the last period.
+        of_actions: nats by the action so many control periods before.
+        of_state: nats by how the state changed over the last period.
         transitions: number of transitions that are the evidence.
         time_step: s.
     """
@@ -44,23 +44,23 @@ class PastEvidence:
 
 
 def evidence_of_the_past(
-    experiment: Task, targets: Targets, recorded: Sequence[TensorDictBase]
+    task: Task, targets: Targets, recorded: Sequence[TensorDictBase]
 ) -> PastEvidence | None:
     """The evidence of the latest rollouts, or None if they are too few or too short.
 
     Args:
-        experiment: of the robot. Actions that its state holds already are left out.
+        task: of the robot. Actions that its state holds already are left out.
         targets: what its model learns.
         recorded: whole rollouts, (robots, T) each, in their order.
     """
-    remembered = 0 if experiment.history is None else experiment.history.past_actions
-    steps = min(experiment.horizon, RECORDED)
+    remembered = 0 if task.history is None else task.history.past_actions
+    steps = min(task.horizon, RECORDED)
     if not recorded or steps < remembered + FEWEST_STEPS:
         return None
     latest = recorded[-max(1, RECORDED // (steps * len(recorded[-1]))) :]
     states = torch.cat([states_of(each)[:, : steps + 1] for each in latest])
     actions = torch.cat([each["action"][:, :steps] for each in latest])
-    motion = states, actions, experiment.space
+    motion = states, actions, task.space
     return PastEvidence(
         {
             periods: evidence_of_past_action(*motion, periods, targets).sum().item()
@@ -68,7 +68,7 @@ def evidence_of_the_past(
         },
         evidence_of_past_state(*motion, targets=targets).sum().item(),
         actions[..., 0].numel(),
-        experiment.demonstrations.time_step,
+        task.demonstrations.time_step,
     )
 
 
@@ -127,14 +127,6 @@ def evidence_of_past_state(
 
     The past helps where velocities are missing, a part is hidden, or sensors are noisy. Arguments,
     result and errors are those of :func:`evidence_of_past_action`.
-
-    Example:
-        >>> from torch_pmil.control.state_space import joint_match
-        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> u = torch.randn(1, 40, 1, generator=torch.Generator().manual_seed(0)).double()
-        >>> speed = torch.cat([torch.zeros(1, 1, 1), u], 1).cumsum(1)
-        >>> bool(evidence_of_past_state(speed.cumsum(1), u, space) > 10)
-        True
     """
     _check(states, actions, periods)
     features = space.features(states[:, :-1])

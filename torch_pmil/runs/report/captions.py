@@ -7,22 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Caption:
-    """Title and text of a picture.
-
-    Args:
-        title: a few words.
-        text: what is drawn, and what it looks like when all is right.
-    """
+    """Title of a picture, and what it looks like when all is right."""
 
     title: str
     text: str
 
 
+BANDS = (
+    "Blue is the demonstrated distribution, orange the outline of the predicted one, both from the "
+    "first step that is compared."
+)
+SIDES = (
+    "Left: lines below the diagonal mean that the model is too sure. Right: values above 1 mean "
+    "that errors at that time are larger than predicted."
+)
 CAPTIONS = {  # in the order of the page
     "trajectories": Caption(
         "Demonstrated, predicted and executed",
-        "Blue is the demonstrated distribution, orange the outline of the predicted one, both from "
-        "the first step that is compared. Dashed lines are the first five rollouts of the robot "
+        f"{BANDS} Dashed lines are the first five rollouts of the robot "
         "from fresh starts. When all is right, the outline lies on the edges of the band and the "
         "rollouts run inside both. Rollouts outside the outline mean that the model is wrong "
         "there. An outline beside the band means that the search did not get further.",
@@ -55,8 +57,7 @@ CAPTIONS = {  # in the order of the page
     "calibration": Caption(
         "Calibration of the model",
         "One-step predictions along rollouts from fresh starts, which the model has not learned "
-        "from. Left: lines below the diagonal mean that the model is too sure. Right: values above "
-        "1 mean that errors at that time are larger than predicted.",
+        f"from. {SIDES}",
     ),
     "model": Caption(
         "Slices through the model",
@@ -75,8 +76,7 @@ CAPTIONS = {  # in the order of the page
 ALONE = {  # of runs that are judged by the robot's own rollouts alone
     "trajectories": Caption(
         CAPTIONS["trajectories"].title,
-        "Blue is the demonstrated distribution, orange the outline of the predicted one, both from "
-        "the first step that is compared. The dashed line is the saved policy's own rollout, "
+        f"{BANDS} The dashed line is the saved policy's own rollout, "
         "complete or up to where it was cut short. When all is right, the outline lies on the "
         "edges of the band and the rollout runs inside both.",
     ),
@@ -89,20 +89,15 @@ ALONE = {  # of runs that are judged by the robot's own rollouts alone
     "calibration": Caption(
         "Calibration of the model",
         "One-step predictions along the saved policy's own rollout. The model has learned from it, "
-        "so this shows less than new rollouts would. Left: lines below the diagonal mean that the "
-        "model is too sure. Right: values above 1 mean that errors at that time are larger than "
-        "predicted.",
+        f"so this shows less than new rollouts would. {SIDES}",
     ),
 }
 
 
 def caption_of(name: str, targets: list[str], alone: bool = False) -> Caption:
-    """The caption of a figure by its name; ``..._target_0`` names a figure of one target.
+    """The caption of a figure by its name; ``..._target_0`` names a figure of the first target.
 
-    Args:
-        name: of the figure's file.
-        targets: names of the targets, in their order.
-        alone: whether the run is judged by the robot's own rollouts alone.
+    ``alone`` is for a run that is judged by the robot's own rollouts alone.
 
     Example:
         >>> caption_of("policy_target_1", ["y = 0", "y = 1"]).title

@@ -6,7 +6,7 @@ import base64
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import torch_pmil
 from torch_pmil.files import MIB, FileError, read_bytes, replacing
@@ -26,13 +26,7 @@ BUILT_GUIDES = "docs/_build/html/how_to"
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the page.
-
-    Args:
-        caption: says what it shows.
-        pixels: width and height of the file.
-        data: the file in base64.
-    """
+    """A picture of the page: width and height of its file in pixels, and the file in base64."""
 
     caption: Caption
     pixels: tuple[int, int]
@@ -51,16 +45,13 @@ class Picture:
 
 
 def write_report(folder: Path | str, drawn: bool = True) -> Path:
-    """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
+    """Write ``report.html`` from what a finished run left: summary, figures, video; its path.
 
     The page loads nothing from elsewhere. What a run did not leave is left out.
 
     Args:
         folder: of the run.
         drawn: False before figures and video are drawn: then the page says that they follow.
-
-    Returns:
-        The path of the page.
 
     Raises:
         RunError: there is no summary, or it or a figure is damaged.
@@ -100,19 +91,6 @@ def page_of(name: str) -> tuple[str, str | None]:
 
 
 def _page(folder: Path, summary: dict, drawn: bool) -> str:
-    return _template().render(
-        summary=summary,
-        headline=headline(summary),
-        judged_alone=judged_alone(summary),
-        following=None if drawn else making_the_rest(folder),
-        pictures=_pictures(folder, summary) if drawn else [],
-        video=_video(folder) if drawn else None,
-        tables=list(tables(summary)),
-        steps=list(next_steps(summary, folder)),
-    )
-
-
-def _template() -> Template:
     environment = Environment(
         loader=PackageLoader("torch_pmil.runs", "report"),
         autoescape=True,
@@ -121,7 +99,17 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     environment.filters |= {"say": say, "percent": percent, "page": page_of}
-    return environment.get_template("page.html")
+    video = folder / "video.mp4"
+    return environment.get_template("page.html").render(
+        summary=summary,
+        headline=headline(summary),
+        judged_alone=judged_alone(summary),
+        following=None if drawn else making_the_rest(folder),
+        pictures=_pictures(folder, summary) if drawn else [],
+        video=_encoded(_content(video)) if drawn and video.exists() else None,
+        tables=list(tables(summary)),
+        steps=list(next_steps(summary, folder)),
+    )
 
 
 def _pictures(folder: Path, summary: dict) -> list[Picture]:
@@ -132,12 +120,6 @@ def _pictures(folder: Path, summary: dict) -> list[Picture]:
     return [
         Picture(caption_of(path.stem, targets, alone), *_pixels_and_text(path)) for path in paths
     ]
-
-
-def _video(folder: Path) -> str | None:
-    """The video as text, if there is one."""
-    path = folder / "video.mp4"
-    return _encoded(_content(path)) if path.exists() else None
 
 
 def _pixels_and_text(path: Path) -> tuple[tuple[int, int], str]:

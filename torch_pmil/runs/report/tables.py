@@ -27,14 +27,7 @@ DERIVED = {  # units of what a summary's settings hold besides the settings of a
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a table, as text.
-
-    Args:
-        title: above it.
-        heads: of the columns.
-        rows: each with a cell for each column.
-        text: below the title, "" for none.
-    """
+    """Cells of a table, as text, with the heads of its columns and a text below its title."""
 
     title: str
     heads: list[str]

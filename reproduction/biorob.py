@@ -12,16 +12,12 @@ import torch
 from tensordict import TensorDictBase
 
 from reproduction.learned import load_learned
+from reproduction.plots.photos import plot_photo_series
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.plotting import (
-    Figure,
-    plot_distributions,
-    plot_photo_series,
-    plot_success_over_experience,
-)
+from torch_pmil.plotting import Figure, plot_distributions, plot_success_over_experience
 from torch_pmil.runs.summaries import read_summary, success_over_experience
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import MEASURED_STARTS, Task

@@ -10,18 +10,12 @@ from torch import Tensor
 
 from reproduction import one_dimension
 from reproduction.learned import load_learned
+from reproduction.plots.gaussian_process import plot_gp, plot_moment_matching
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
-from torch_pmil.plotting import (
-    Figure,
-    plot_demonstrations,
-    plot_distributions,
-    plot_gp,
-    plot_moment_matching,
-    plot_poses,
-)
+from torch_pmil.plotting import Figure, plot_demonstrations, plot_distributions, plot_poses
 from torch_pmil.search.kl import trajectory_kl
 from torch_pmil.tasks.double_pendulum import joints_of
 from torch_pmil.tasks.registry import load_experiment

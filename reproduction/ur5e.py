@@ -31,9 +31,10 @@ from reproduction.arms import (
     spread,
 )
 from reproduction.learned import Learned, load_learned
+from reproduction.plots.photos import plot_photo_series
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run, tell_trial
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series
+from torch_pmil.plotting import Figure, plot_distributions
 from torch_pmil.runs.pictures import steps_of
 from torch_pmil.runs.printing import tell
 from torch_pmil.runs.training import train

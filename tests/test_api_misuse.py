@@ -20,6 +20,7 @@ from reproduction.baselines.dmp import DMP
 from reproduction.baselines.learned_inverse_dynamics import InverseDynamics, Reference
 from reproduction.plots.errors import plot_errors_over_data
 from reproduction.plots.frequencies import plot_frequencies
+from reproduction.plots.photos import plot_photo_series
 from reproduction.plots.success import plot_success_over_mass, plot_success_over_settings
 from reproduction.plots.variants import plot_variants
 from reproduction.sampling_frequency import Recording, score_frequencies
@@ -998,7 +999,7 @@ MISUSES: list[Misuse] = [
     ),
     *wrong(lambda: plot_errors_over_data([1.0], {}), "panels must hold one at least, got none"),
     *wrong(lambda: plot_frequencies([1.0], {}), "scores must hold one at least, got none"),
-    *wrong(lambda: plotting.plot_photo_series({}, []), "rows must hold one at least, got none"),
+    *wrong(lambda: plot_photo_series({}, []), "rows must hold one at least, got none"),
     *wrong(
         lambda: plotting.plot_policy(STATE_POLICY, [], full(0, 1, 2), ["a"]),
         "planes must hold one at",

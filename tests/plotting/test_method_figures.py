@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from reproduction.plots.gaussian_process import plot_gp, plot_moment_matching
 from tests.helpers.draws import Draws
 from tests.helpers.figures import assert_edge, corners_of
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting import plot_demonstrations, plot_gp, plot_moment_matching, plot_prediction
+from torch_pmil.plotting import plot_demonstrations, plot_prediction
 
 NAMED = ("x", "y"), ("m", "m"), 0.1
 

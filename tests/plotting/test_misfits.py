@@ -9,6 +9,8 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
+from reproduction.plots.gaussian_process import plot_gp, plot_moment_matching
+from reproduction.plots.photos import plot_photo_series
 from torch_pmil import plotting as p
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
@@ -81,15 +83,15 @@ MISFITS: list[tuple[Callable[[], object], str]] = [
     (lambda: p.plot_poses(zeros(3, 2), 0.1), JOINTS + r"\(3, 2\)"),
     (lambda: next(p.pendulum_frames(zeros(4), 0.1)), JOINTS + r"\(4,\)"),
     (
-        lambda: p.plot_gp(zeros(4), GRID, GRID, belief(3, 1), 0.5),
+        lambda: plot_gp(zeros(4), GRID, GRID, belief(3, 1), 0.5),
         r"inputs and targets must be \(n,\) each, got \(4,\) and \(3,\)",
     ),
     (
-        lambda: p.plot_gp(GRID, GRID, GRID, belief(4, 1), 0.5),
+        lambda: plot_gp(GRID, GRID, GRID, belief(4, 1), 0.5),
         r"posterior must have a mean of shape \(3, 1\), .* got \(4, 1\)",
     ),
     (
-        lambda: p.plot_moment_matching(GRID, belief(3, 1), belief(2), zeros(9), belief(1)),
+        lambda: plot_moment_matching(GRID, belief(3, 1), belief(2), zeros(9), belief(1)),
         r"belief and matched must be of one entry .* \(S,\), got \(2,\), \(1,\) and \(9,\)",
     ),
     (
@@ -121,7 +123,7 @@ MISFITS: list[tuple[Callable[[], object], str]] = [
         "1 labels and 2 names must be those of 1 trajectories of 1",
     ),
     (
-        lambda: p.plot_photo_series({"shown": [PICTURE] * 2, "learned": [PICTURE]}, (0.0, 1.0)),
+        lambda: plot_photo_series({"shown": [PICTURE] * 2, "learned": [PICTURE]}, (0.0, 1.0)),
         "learned must have a picture for each of the 2 times, got 1",
     ),
     (

@@ -12,6 +12,7 @@ from matplotlib.collections import FillBetweenPolyCollection
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from reproduction.plots.photos import plot_photo_series
 from tests.helpers.draws import Draws
 from tests.helpers.figures import assert_edge, legend_of
 from torch_pmil import plotting
@@ -20,7 +21,6 @@ from torch_pmil.plotting import (
     pendulum_frames,
     plot_distributions,
     plot_learning_curve,
-    plot_photo_series,
     plot_poses,
     plot_success_of_methods,
     plot_success_over_experience,

@@ -1,18 +1,13 @@
 """The figures, which are imported on their first use."""
 
 from .calibration import plot_calibration as plot_calibration
-from .gaussian_process import (
-    plot_gp as plot_gp,
-    plot_gp_slices as plot_gp_slices,
-    plot_moment_matching as plot_moment_matching,
-)
+from .gp_slices import plot_gp_slices as plot_gp_slices
 from .heat_maps import plot_heat_map as plot_heat_map
 from .kl_terms import plot_kl_per_step as plot_kl_per_step
 from .pendulum import (
     pendulum_frames as pendulum_frames,
     plot_poses as plot_poses,
 )
-from .photos import plot_photo_series as plot_photo_series
 from .policy import Plane as Plane, plot_policy as plot_policy
 from .recordings import (
     plot_before_after as plot_before_after,

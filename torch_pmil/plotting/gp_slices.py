@@ -1,4 +1,4 @@
-"""Figures of Gaussian processes: of one input and one output, and slices through a fitted model."""
+"""Slices through a fitted model: each output over each input."""
 
 from __future__ import annotations
 
@@ -12,141 +12,22 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.control.state_space import with_unit
-from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting.style import (
     BAND,
-    BLUE,
     DARK,
     GREY,
     VERMILLION,
     WIDTH,
-    labelled,
     legend_above,
     style,
 )
 
-BINS = 120
 POINTS = 200  # of each slice
 BEYOND = 0.15  # how far a slice goes beyond the data, as a fraction of their range
-INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
 
 
-def plot_gp(
-    inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, test_input: float
-) -> Figure:
-    """A GP with its data and its uncertainty, and a test input away from the data (Figure 2).
-
-    Args:
-        inputs, targets: inputs and targets of the data, (n,) each.
-        grid: inputs at which the posterior is drawn, (K,).
-        posterior: posterior at the grid, mean (K, 1) and cov (K, 1, 1).
-        test_input: an input that is marked by a line.
-
-    Raises:
-        ValueError: shapes do not fit each other.
-
-    Example:
-        >>> import torch
-        >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
-        >>> figure = plot_gp(torch.zeros(1), torch.zeros(1), torch.arange(3), posterior, 2.0)
-        >>> [text.get_text() for text in figure.legends[0].get_texts()]
-        ['mean', '± 2 std', 'data', 'test input']
-    """
-    if inputs.shape != targets.shape:
-        raise ValueError(
-            f"inputs and targets must be (n,) each, got {tuple(inputs.shape)} and "
-            f"{tuple(targets.shape)}"
-        )
-    figure = Figure(figsize=(6.0, 3.4), layout="constrained")
-    panel = figure.subplots()
-    _draw_posterior(panel, grid, posterior)
-    panel.plot(inputs.numpy(), targets.numpy(), "x", color=DARK, markersize=6, label="data")
-    panel.axvline(test_input, color=VERMILLION, linewidth=1.6, label="test input")
-    panel.set(xlabel=INPUT, ylabel=OUTPUT)
-    legend_above(figure, 4, panel)
-    return figure
-
-
-def plot_moment_matching(
-    grid: Tensor, posterior: Gaussian, belief: Gaussian, samples: Tensor, matched: Gaussian
-) -> Figure:
-    """Exact output distribution of a GP at a Gaussian input, and its moment matching (Figure 4).
-
-    The exact distribution is a histogram; the Gaussian beside it has the same moments.
-
-    Args:
-        grid: inputs at which the posterior is drawn, (K,).
-        posterior: posterior at the grid, mean (K, 1) and cov (K, 1, 1).
-        belief: belief over the input, mean (1,) and cov (1, 1).
-        samples: samples of the output at that uncertain input, (S,).
-        matched: belief over the output by moment matching, mean (1,) and cov (1, 1).
-
-    Raises:
-        ValueError: shapes do not fit each other.
-
-    Example:
-        >>> import torch
-        >>> one = Gaussian(torch.zeros(1), torch.ones(1, 1))
-        >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
-        >>> grid, samples = torch.linspace(-3, 3, 3), torch.linspace(-2, 2, 9)
-        >>> figure = plot_moment_matching(grid, posterior, one, samples, one)
-        >>> [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
-        ['mean', '± 2 std', 'exact, by sampling', 'moment matching', 'input']
-    """
-    if not (belief.mean.shape == matched.mean.shape == (1,) and samples.ndim == 1):
-        raise ValueError(
-            "belief and matched must be of one entry and samples (S,), got "
-            f"{tuple(belief.mean.shape)}, {tuple(matched.mean.shape)} and {tuple(samples.shape)}"
-        )
-    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
-    shares: dict[str, Any] = {"sharex": "col", "sharey": "row"}
-    panels = figure.subplots(2, 2, width_ratios=(2, 1), height_ratios=(2, 1), **shares)
-    (function, output), (source, corner) = panels
-    corner.set_axis_off()
-    _draw_posterior(function, grid, posterior)
-    mean, reach = matched.mean.item(), 3 * matched.std.item()
-    heights = np.linspace(mean - reach, mean + reach, 400)
-    bars: dict[str, Any] = {"density": True, "orientation": "horizontal", "color": VERMILLION}
-    output.hist(samples.numpy(), BINS, alpha=0.35, label="exact, by sampling", **bars)
-    density = _density(matched, heights)
-    output.plot(density, heights, color=BLUE, linewidth=1.8, label="moment matching")
-    points = grid.numpy()
-    area: dict[str, Any] = {"color": DARK, "alpha": 0.3, "linewidth": 0}
-    source.fill_between(points, _density(belief, points), label="input", **area)
-    output.tick_params(labelbottom=True)
-    output.set(xlabel="density")
-    output.set_xlim(left=0)
-    function.set(ylabel=OUTPUT)
-    source.set(xlabel=INPUT, ylabel="density")
-    source.set_ylim(bottom=0)
-    for panel in (output, source):
-        style(panel)
-    corner.legend(handles=labelled(function, output, source), loc="center", frameon=False)
-    return figure
-
-
-def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:
-    """Draw mean and band of a GP over its input."""
-    if posterior.mean.shape != (len(grid), 1):
-        raise ValueError(
-            f"posterior must have a mean of shape {(len(grid), 1)}, a row for a point of the grid, "
-            f"got {tuple(posterior.mean.shape)}"
-        )
-    points, mean, std = grid.numpy(), posterior.mean[:, 0].numpy(), posterior.std[:, 0].numpy()
-    panel.plot(points, mean, color=GREY, linewidth=1.4, label="mean")
-    _draw_band(panel, points, mean, std)
-    panel.set_xlim(points[0], points[-1])
-    style(panel)
-
-
-def _density(belief: Gaussian, points: np.ndarray) -> np.ndarray:
-    """Density of a belief over one entry, at points (K,)."""
-    mean, std = belief.mean.item(), belief.std.item()
-    return np.exp(-(((points - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
-
-
-def _draw_band(panel: Axes, x: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None:
+def draw_uncertainty(panel: Axes, x: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None:
     """Draw how uncertain a GP is, in grey."""
     look: dict[str, Any] = {"color": GREY, "alpha": 0.25, "linewidth": 0}
     panel.fill_between(x, mean - BAND * std, mean + BAND * std, label=f"± {BAND} std", **look)
@@ -213,7 +94,7 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
     mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
     x, centre = grid.numpy(), mean[:, output].numpy()
     std = (variance + dynamics.expansion.noise)[:, output].sqrt().numpy()
-    _draw_band(panel, x, centre, std)
+    draw_uncertainty(panel, x, centre, std)
     panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
     dotted: dict[str, Any] = {"color": VERMILLION, "linewidth": 0.8, "linestyle": ":"}
     panel.axvline(point[entry].item(), label="where the slices meet", **dotted)

@@ -6,7 +6,7 @@ PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-us
 ARGS ?=
 # variables of this file; all others that are given on the command line are settings of pmil train
 OF_MAKE := PYTHON PIP ARGS TORCH_ARGS SOAK_RUNS SOAK_SEED MAKEFLAGS MAKEOVERRIDES -*-command-variables-*-
-GIVEN = $(foreach name,$(filter-out $(OF_MAKE),$(.VARIABLES)),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
+GIVEN = $(foreach name,$(sort $(filter-out $(OF_MAKE),$(.VARIABLES))),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=

@@ -109,8 +109,8 @@ def test_same_generator_gives_the_same_actions(exploration: Exploration) -> None
     ("wrong", "message"),
     [
         ({"reach": torch.zeros(3)}, r"reach must have shape \(4,\), got \(3,\)"),
-        ({"reach": -REACH}, r"reach must not be negative and u_max be positive, got \[-0.4"),
-        ({"u_max": torch.zeros(2)}, r"u_max be positive, got .* and \[0.0, 0.0\]"),
+        ({"reach": -REACH}, r"exploration.reach must be .*, at least 0, got \[-0.4"),
+        ({"u_max": torch.zeros(2)}, r"u_max must be positive, got \[0.0, 0.0\]"),
         ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
     ],
 )

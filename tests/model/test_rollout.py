@@ -234,6 +234,7 @@ def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Target
     assert gradcheck(last_state, tuple(variable.requires_grad_() for variable in variables))
 
 
+@STEPS_ALONE
 def test_failed_step_is_named(
     policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
+from torch.testing import assert_close
 from torchrl.objectives.pilco import ExponentialQuadraticCost
 
 from tests.helpers.draws import Draws
@@ -50,17 +51,15 @@ def test_loss_is_the_kl_of_the_predicted_trajectory(
     loss: TrajectoryKLLoss, initial: Gaussian
 ) -> None:
     expected = trajectory_kl(expert_of(loss), loss.predict(initial))
-    torch.testing.assert_close(loss(start(initial))["loss_kl"], expected, rtol=1e-12, atol=0)
-    torch.testing.assert_close(loss.per_step(initial).sum(), expected, rtol=1e-12, atol=0)
+    assert_close(loss(start(initial))["loss_kl"], expected, rtol=1e-12, atol=0)
+    assert_close(loss.per_step(initial).sum(), expected, rtol=1e-12, atol=0)
 
 
 def test_steps_are_the_kls_of_the_marginals(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
     predicted, steps = loss.predict(initial), loss.per_step(initial)
     assert steps.shape == (HORIZON,)
     for t in range(HORIZON):
-        torch.testing.assert_close(
-            steps[t], gaussian_kl(expert_of(loss)[t], predicted[t]), rtol=1e-12, atol=0
-        )
+        assert_close(steps[t], gaussian_kl(expert_of(loss)[t], predicted[t]), rtol=1e-12, atol=0)
 
 
 def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(
@@ -68,8 +67,8 @@ def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(
 ) -> None:
     states = predict_trajectory(initial, loss.actor_network, loss.dynamics, SPACE, HORIZON)
     seen, predicted = TIP.moments(states), loss.predict(initial)
-    torch.testing.assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
-    torch.testing.assert_close(
+    assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
+    assert_close(
         predicted.cov - seen.cov,
         (NOISE_STD**2 * torch.eye(2, dtype=torch.float64)).expand(HORIZON, 2, 2),
     )
@@ -86,9 +85,7 @@ def test_shorter_horizon_is_the_beginning_of_the_whole(
     loss: TrajectoryKLLoss, initial: Gaussian, horizon: int
 ) -> None:
     for per_step in (loss.per_step, loss.mean_per_step):
-        torch.testing.assert_close(
-            per_step(initial, horizon), per_step(initial)[:horizon], rtol=1e-12, atol=0
-        )
+        assert_close(per_step(initial, horizon), per_step(initial)[:horizon], rtol=1e-12, atol=0)
 
 
 def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(
@@ -98,7 +95,7 @@ def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(
         initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
     )
     as_wide = Gaussian(TIP(states), loss.demonstrated_cov)
-    torch.testing.assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
+    assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
 
 
 def test_expert_that_is_the_prediction_costs_nothing(
@@ -106,7 +103,7 @@ def test_expert_that_is_the_prediction_costs_nothing(
 ) -> None:
     predicted = loss.predict(initial).detach()
     perfect = TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, predicted, NOISE_STD)
-    torch.testing.assert_close(
+    assert_close(
         perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9
     )
 
@@ -118,7 +115,7 @@ def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: 
     loss = TrajectoryKLLoss(*parts, SPACE, demonstrated, noise_std)
     predicted = TIP.moments(loss.predict_states(start))
     noisy = Gaussian(predicted.mean, predicted.cov + (noise_std**2).diag())
-    torch.testing.assert_close(loss.per_step(start), gaussian_kl(demonstrated, noisy))
+    assert_close(loss.per_step(start), gaussian_kl(demonstrated, noisy))
     same = TrajectoryKLLoss(*parts, SPACE, demonstrated, torch.full((2,), 0.1, dtype=torch.float64))
     assert torch.equal(
         same.per_step(start), TrajectoryKLLoss(*parts, SPACE, demonstrated, 0.1).per_step(start)
@@ -160,7 +157,7 @@ def test_cost_is_that_of_samples_of_the_prediction(
 
 def test_cost_is_summed_over_the_horizon(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
     assert cost.horizon == HORIZON
-    torch.testing.assert_close(
+    assert_close(
         cost(start(initial))["loss_cost"], cost.per_step(initial).sum(), rtol=1e-14, atol=0
     )
 
@@ -169,7 +166,7 @@ def test_prediction_of_the_cost_holds_no_observation_noise(
     cost: ExpectedSaturatingCost, initial: Gaussian
 ) -> None:
     states = predict_trajectory(initial, cost.actor_network, cost.dynamics, SPACE, HORIZON)
-    torch.testing.assert_close(cost.predict(initial).cov, TIP.moments(states).cov, rtol=0, atol=0)
+    assert_close(cost.predict(initial).cov, TIP.moments(states).cov, rtol=0, atol=0)
 
 
 def test_mean_cost_is_that_of_the_mean_trajectory(
@@ -178,7 +175,7 @@ def test_mean_cost_is_that_of_the_mean_trajectory(
     states = predict_mean_trajectory(
         initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON
     )
-    torch.testing.assert_close(
+    assert_close(
         cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14
     )
 
@@ -199,7 +196,7 @@ def test_weight_may_turn_the_axes(draws: Draws) -> None:
     certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
     delta = space.observe(states) - target
     expected = 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8)
-    torch.testing.assert_close(certain, expected, rtol=1e-12, atol=1e-15)
+    assert_close(certain, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
@@ -211,7 +208,7 @@ def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
     expected = theirs(TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}}))[
         "loss_cost"
     ]
-    torch.testing.assert_close(cost.per_step(initial), expected, rtol=0, atol=2e-5)
+    assert_close(cost.per_step(initial), expected, rtol=0, atol=2e-5)
 
 
 def test_weight_is_the_identity_unless_given(initial: Gaussian) -> None:
@@ -239,9 +236,7 @@ def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Ga
     spread = weight @ near.predict(initial, 3).cov / WIDTH**2
     expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
     for cost in (near, far):
-        torch.testing.assert_close(
-            cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0
-        )
+        assert_close(cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0)
     assert (expected > 1e-3).all()
 
 
@@ -287,6 +282,6 @@ def test_both_predictions_are_those_that_the_loss_was_given(
         states = predict_mean_trajectory(
             initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
         )
-        torch.testing.assert_close(other.per_step(initial), loss.per_step(initial))
+        assert_close(other.per_step(initial), loss.per_step(initial))
         expected = loss._mean_costs(SPACE.observe(states / 2))
-        torch.testing.assert_close(other.mean_per_step(initial), expected)
+        assert_close(other.mean_per_step(initial), expected)

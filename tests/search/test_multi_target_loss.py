@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.losses import HORIZON, NOISE_STD, SPACE, make_parts, start
@@ -66,7 +67,7 @@ def test_known_inputs_are_inputs_of_these_values(draws: Draws) -> None:
     f, x, known = draws.network(9, 5, 2), draws.normal(S, 3), TARGETS
     of_x = f.at_known(known)
     whole = torch.cat([x, known], -1)
-    torch.testing.assert_close(of_x.mean(x), f.mean(whole))
+    assert_close(of_x.mean(x), f.mean(whole))
 
 
 def test_known_inputs_are_inputs_without_variance(draws: Draws) -> None:
@@ -76,7 +77,7 @@ def test_known_inputs_are_inputs_without_variance(draws: Draws) -> None:
     whole = moment_match(f, Gaussian(torch.cat([belief.mean, TARGETS], -1), cov))
     of_x = moment_match(f.at_known(TARGETS), belief)
     expected = whole.mean, whole.cov, whole.inv_cov_cross_cov[:, :3]
-    torch.testing.assert_close((of_x.mean, of_x.cov, of_x.inv_cov_cross_cov), expected)
+    assert_close((of_x.mean, of_x.cov, of_x.inv_cov_cross_cov), expected)
 
 
 def test_gradient_of_moments_with_weights_of_each_belief(draws: Draws) -> None:
@@ -96,15 +97,15 @@ def test_gradient_of_moments_with_weights_of_each_belief(draws: Draws) -> None:
 def test_loss_is_the_mean_of_the_losses_of_the_targets(initial: Gaussian) -> None:
     loss = make_loss(1)
     single = torch.stack([of_one_target(loss, i).per_step(initial) for i in range(S)])
-    torch.testing.assert_close(loss.per_step(initial), single.mean(0))
-    torch.testing.assert_close(loss.step_loss_for_trust(initial), single.amax(0))
-    torch.testing.assert_close(loss(start(initial))["loss_kl"], single.sum(-1).mean())
+    assert_close(loss.per_step(initial), single.mean(0))
+    assert_close(loss.step_loss_for_trust(initial), single.amax(0))
+    assert_close(loss(start(initial))["loss_kl"], single.sum(-1).mean())
 
 
 def test_mean_loss_is_the_mean_of_those_of_the_targets(initial: Gaussian) -> None:
     loss = make_loss(1)
     single = torch.stack([of_one_target(loss, i).mean_per_step(initial) for i in range(S)])
-    torch.testing.assert_close(loss.mean_per_step(initial), single.mean(0))
+    assert_close(loss.mean_per_step(initial), single.mean(0))
 
 
 def test_prediction_of_each_target_is_that_of_its_policy(initial: Gaussian) -> None:
@@ -112,7 +113,7 @@ def test_prediction_of_each_target_is_that_of_its_policy(initial: Gaussian) -> N
     predicted = loss.predict(initial)
     for i in range(S):
         single = of_one_target(loss, i).predict(initial)
-        torch.testing.assert_close((predicted.mean[i], predicted.cov[i]), (single.mean, single.cov))
+        assert_close((predicted.mean[i], predicted.cov[i]), (single.mean, single.cov))
 
 
 @pytest.mark.parametrize("form", ["per_step", "mean_per_step"])
@@ -128,7 +129,7 @@ def test_gradient_is_the_difference_quotient(initial: Gaussian, form: str, name:
     for shift in (step, -2 * step):
         parameter.data += shift * direction
         values.append(getattr(loss, form)(initial).sum())
-    torch.testing.assert_close(slope, (values[0] - values[1]) / (2 * step), rtol=1e-5, atol=1e-6)
+    assert_close(slope, (values[0] - values[1]) / (2 * step), rtol=1e-5, atol=1e-6)
 
 
 def test_batch_of_starts_is_a_loop(draws: Draws) -> None:
@@ -136,7 +137,7 @@ def test_batch_of_starts_is_a_loop(draws: Draws) -> None:
     batch = loss.per_step(starts)
     assert batch.shape == (2, 2, HORIZON)
     for index in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        torch.testing.assert_close(batch[index], loss.per_step(starts[index]))
+        assert_close(batch[index], loss.per_step(starts[index]))
 
 
 def test_rollouts_of_all_targets_cost_what_the_prediction_costs(initial: Gaussian) -> None:
@@ -144,7 +145,7 @@ def test_rollouts_of_all_targets_cost_what_the_prediction_costs(initial: Gaussia
     predicted = loss.predict_states(initial)
     rollout = start(predicted)
     costs = loss.rollout_loss(type(rollout)({"next": rollout}, rollout.batch_size))["loss_kl"]
-    torch.testing.assert_close(costs, loss(start(initial))["loss_kl"])
+    assert_close(costs, loss(start(initial))["loss_kl"])
 
 
 def test_samples_of_the_prediction_act_for_their_targets(initial: Gaussian) -> None:
@@ -185,12 +186,7 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
     ("demonstrated", "targets", "inputs", "message"),
     [
         ((HORIZON, 2), TARGETS, 5, "and demonstrated marginals of batch shape (4,)"),
-        (
-            (2, HORIZON, 2),
-            TARGETS,
-            5,
-            "got targets (3, 2) and demonstrated marginals of batch",
-        ),
+        ((2, HORIZON, 2), TARGETS, 5, "got targets (3, 2) and demonstrated marginals of batch"),
         ((S, HORIZON, 2), TARGETS, 3, "must see dq, sin q, cos q and a target of 2, got one of 3"),
     ],
 )
@@ -208,7 +204,7 @@ def test_shapes_that_do_not_fit_are_errors(
 def test_policy_for_a_target_is_the_policy_told_that_target(draws: Draws) -> None:
     policy, features = make_policy(draws), draws.normal(7, 3)
     for target in TARGETS:
-        torch.testing.assert_close(
+        assert_close(
             policy.for_target(target)(features),
             policy(torch.cat([features, target.expand(7, -1)], -1)),
         )

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
@@ -39,7 +40,7 @@ def test_cost_of_width_two_is_that_of_the_paper() -> None:
 def test_expectation_is_that_of_quadrature(draws: Draws) -> None:
     belief = draws.belief(2)
     nodes, weights = nodes_2d(belief, 60)
-    torch.testing.assert_close(
+    assert_close(
         expected_saturating_cost(belief), weights @ saturating_cost(nodes), rtol=1e-10, atol=0
     )
 
@@ -58,7 +59,7 @@ def test_expectation_is_that_of_the_determinant_form(draws: Draws) -> None:
     widened, delta = torch.eye(3, dtype=torch.float64) + belief.cov @ W, belief.mean - target
     exponent = torch.einsum("bi,ij,bjk,bk->b", delta, W, torch.linalg.inv(widened), delta)
     expected = 1 - torch.linalg.det(widened).rsqrt() * torch.exp(-exponent / 2)
-    torch.testing.assert_close(
+    assert_close(
         expected_saturating_cost(belief.affine(root, -root @ target)),
         expected,
         rtol=1e-12,
@@ -79,7 +80,7 @@ def test_gradient_at_zero_covariance_is_half_the_curvature_of_the_cost(draws: Dr
     mean, cov = draws.normal(3), torch.zeros(3, 3, dtype=torch.float64, requires_grad=True)
     (d_cov,) = torch.autograd.grad(expected_saturating_cost(Gaussian(mean, cov)), cov)
     curvature = torch.autograd.functional.hessian(saturating_cost, mean)
-    torch.testing.assert_close(symmetric(d_cov), curvature / 2, rtol=1e-12, atol=1e-14)
+    assert_close(symmetric(d_cov), curvature / 2, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("variance", [1e8, 1e12, 1e100, 1e300])
@@ -109,7 +110,7 @@ def test_singular_covariance_is_that_of_its_own_line(draws: Draws, variance: flo
 def test_entry_without_weight_does_not_matter(draws: Draws) -> None:
     belief, first = draws.belief(5, 3), torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
     ignoring = torch.diag(first[0])
-    torch.testing.assert_close(
+    assert_close(
         expected_saturating_cost(belief.affine(ignoring)),
         expected_saturating_cost(belief.affine(first)),
     )
@@ -164,9 +165,7 @@ def test_batch_equals_loop(draws: Draws) -> None:
     together = expected_saturating_cost(belief)
     assert together.shape == (2, 3)
     for i, j in np.ndindex(2, 3):
-        torch.testing.assert_close(
-            together[i, j], expected_saturating_cost(belief[i, j]), rtol=1e-13, atol=0
-        )
+        assert_close(together[i, j], expected_saturating_cost(belief[i, j]), rtol=1e-13, atol=0)
 
 
 def test_negative_covariance_is_an_error_that_names_the_element(draws: Draws) -> None:

@@ -75,9 +75,7 @@ def test_new_policy_holds_the_start_pose(experiment: Task) -> None:
     assert (rollout["next", "observation"][:, :3] - start[:3]).abs().max() < np.deg2rad(3)
 
 
-def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
-    experiment: Task,
-) -> None:
+def test_first_motion_is_six_seconds_around_the_start_within_the_limits(experiment: Task) -> None:
     trainer = make_trainer(short(experiment), 0, 1, False, lambda trial: None)
     trainer.train()
     assert trainer.trials[0].experience_s == pytest.approx(6.0)

@@ -10,6 +10,7 @@ import mujoco
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.short_run import quick_fits, shortened
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
@@ -48,8 +49,8 @@ def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstration
 def test_placed_strokes_fill_their_box(shape: str) -> None:
     strokes = placed(preprocessed(lasa_strokes(shape), duration=3.0), extent=0.3)
     lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
-    torch.testing.assert_close((highest - lowest).max().item(), 0.3)
-    torch.testing.assert_close((highest + lowest) / 2, torch.zeros(2, dtype=torch.float64))
+    assert_close((highest - lowest).max().item(), 0.3)
+    assert_close((highest + lowest) / 2, torch.zeros(2, dtype=torch.float64))
 
 
 def test_placing_keeps_the_proportions() -> None:
@@ -57,14 +58,14 @@ def test_placing_keeps_the_proportions() -> None:
     there = placed(strokes, extent=0.3).positions.flatten(0, 1)
     here = strokes.positions.flatten(0, 1)
     ratio = torch.pdist(there) / torch.pdist(here)
-    torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio))
+    assert_close(ratio, ratio[:1].expand_as(ratio))
 
 
 def test_strokes_are_in_metres_and_end_at_the_origin() -> None:
     recordings = lasa_strokes("Angle")
     assert len(recordings.values) == 7
     for values in recordings.values:
-        torch.testing.assert_close(values[-1], torch.zeros(2, dtype=torch.float64))
+        assert_close(values[-1], torch.zeros(2, dtype=torch.float64))
         assert 0.01 < (values.amax(0) - values.amin(0)).max() < 0.1
 
 
@@ -75,7 +76,7 @@ def test_conditioned_strokes_begin_and_end_as_the_recorded_ones_and_last_as_long
     recorded_ends = torch.stack(
         [torch.stack([values[0], values[-1]]) for values in recordings.values]
     )
-    torch.testing.assert_close(strokes.positions[:, [0, -1]], recorded_ends, atol=1e-3, rtol=0)
+    assert_close(strokes.positions[:, [0, -1]], recorded_ends, atol=1e-3, rtol=0)
 
 
 def test_alignment_leaves_less_spread_than_the_same_share_of_each_stroke() -> None:
@@ -100,7 +101,7 @@ def test_a_held_out_stroke_is_as_far_from_the_mean_as_the_spread_says() -> None:
     assert (
         abs(ratio - (1 + 1 / 5) * 120 / 118) < 4 * error
     )  # E[1/s^2] of 4 x 60 degrees of freedom: 240 / 238
-    torch.testing.assert_close(
+    assert_close(
         distance_from_mean(
             white[0, :5].mean(0), shown_mean := Demonstrations(white[0, :5], 0.1, ("x", "y"))
         ).item(),
@@ -114,9 +115,7 @@ def test_a_held_out_stroke_is_as_far_from_the_mean_as_the_spread_says() -> None:
 def test_tip_of_the_demonstrated_states_is_on_the_strokes(name: str, shape: str) -> None:
     experiment = load_experiment(name, lasa_strokes(shape))
     positions = experiment.demonstrations.positions
-    torch.testing.assert_close(
-        experiment.space.observe(experiment.demonstrated_states), positions.flatten(0, 1)
-    )
+    assert_close(experiment.space.observe(experiment.demonstrated_states), positions.flatten(0, 1))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -137,9 +136,7 @@ def test_racket_is_where_mujoco_says() -> None:
             data.joint(joint).qpos[0] = angle
         mujoco.mj_kinematics(env.model, data)
         expected = torch.from_numpy(data.site("racket").xpos.copy())
-        torch.testing.assert_close(
-            match_space(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0
-        )
+        assert_close(match_space(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0)
 
 
 def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
@@ -158,9 +155,7 @@ def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
 
 def test_pendulum_tip_is_where_the_environment_says() -> None:
     states = torch.randn(20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(
-        pendulum_writer().space.observe(states), link_positions(states)[:, 2:]
-    )
+    assert_close(pendulum_writer().space.observe(states), link_positions(states)[:, 2:])
 
 
 @each_robot
@@ -190,9 +185,7 @@ def test_first_motion_stays_near_the_strokes(name: str) -> None:
 def test_robot_starts_at_rest_where_the_strokes_begin() -> None:
     experiment = handwriting_biorob(wave())
     begin = experiment.demonstrations.positions[:, 0].mean(0)
-    torch.testing.assert_close(
-        experiment.space.observe(experiment.initial.mean), begin, atol=1e-3, rtol=0
-    )
+    assert_close(experiment.space.observe(experiment.initial.mean), begin, atol=1e-3, rtol=0)
     assert (experiment.initial.mean[3:] == 0).all()
 
 
@@ -201,7 +194,7 @@ def test_mean_stroke_itself_has_no_error_and_others_have_theirs(name: str) -> No
     experiment = load_experiment(name, wave())
     strokes = experiment.demonstrations.positions
     mean = distance_from_mean(strokes.mean(0, keepdim=True), experiment.demonstrations)
-    torch.testing.assert_close(mean, torch.zeros(1, dtype=torch.float64))
+    assert_close(mean, torch.zeros(1, dtype=torch.float64))
     assert experiment.tolerance == pytest.approx(
         1.25
         * math.sqrt(5 / 4 * distance_from_mean(strokes, experiment.demonstrations).square().mean())

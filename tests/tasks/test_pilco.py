@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
@@ -80,7 +81,7 @@ def test_model_learns_from_up_to_half_a_turn_in_a_control_step(pilco: PilcoTask)
     way.
     """
     fastest = pilco.limits[pilco.limits.isfinite()]
-    torch.testing.assert_close(0.1 * fastest, torch.full((2,), math.pi, dtype=torch.float64))
+    assert_close(0.1 * fastest, torch.full((2,), math.pi, dtype=torch.float64))
     assert pilco.limits[list(pilco.space.angles)].isposinf().all()
 
 
@@ -102,8 +103,8 @@ def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: Pilco
     centres = (policy.centres * policy.scale).detach()
     std = torch.tensor([3.0, 3.0, 0.5**0.5, 0.5**0.5, 0.5**0.5, 0.5**0.5], dtype=torch.float64)
     assert (centres.mean(0).abs() < 4 * std / 10).all()
-    torch.testing.assert_close(centres.std(0), std, rtol=0.2, atol=0)
-    torch.testing.assert_close(policy.scale, std, rtol=0.2, atol=0)
+    assert_close(centres.std(0), std, rtol=0.2, atol=0)
+    assert_close(policy.scale, std, rtol=0.2, atol=0)
 
 
 def test_settings_name_what_the_cost_depends_on(pilco: PilcoTask) -> None:

@@ -170,9 +170,7 @@ def test_stopped_run_goes_on_to_the_same_end(result: RunResult, tmp_path: Path) 
         assert torch.equal(resumed.policy.state_dict()[name], value)
 
 
-def test_demonstrations_without_targets_or_with_others_are_refused(
-    experiment: TargetTask,
-) -> None:
+def test_demonstrations_without_targets_or_with_others_are_refused(experiment: TargetTask) -> None:
     shown, names = experiment.demonstrations, ", ".join(experiment.demonstrations.target_names)
     name = experiment.name
     without = replace(shown, targets=None, target_names=())

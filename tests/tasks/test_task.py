@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from reproduction.learned import load_learned
 from tests.helpers.short_run import PD_MOVEMENTS, changed, quick_fits, short_experiment, shortened
@@ -60,7 +61,7 @@ def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Task) ->
         for each in (experiment, replace(experiment, holding_actions=lifting))
     )
     far = experiment.space.features(torch.tensor([0.0, 6.0, 2.0, -6.0], dtype=torch.float64))
-    torch.testing.assert_close(holding(far), plain(far), rtol=0, atol=0.02)
+    assert_close(holding(far), plain(far), rtol=0, atol=0.02)
     assert torch.equal(holding.centres, plain.centres)
 
 
@@ -70,7 +71,7 @@ def test_widths_may_be_said_in_the_units_of_the_features(experiment: Task) -> No
         for each in (experiment, experiment.with_settings(input_widths=WIDTHS))
     )
     assert torch.equal(wide.controller.network.lengthscales, WIDTHS.expand(2, 6))
-    torch.testing.assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
+    assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
 
 
 def test_settings_say_what_the_first_policy_and_motion_are(experiment: Task) -> None:
@@ -218,7 +219,7 @@ def test_velocities_alone_leave_the_positions_to_them(experiment: Task) -> None:
     after = known.successors(
         states, torch.zeros(1, 2).double(), torch.tensor([[0.4, -1.0]]).double()
     )
-    torch.testing.assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
+    assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
 
 
 def test_model_of_tied_lengthscales_is_a_setting(experiment: Task) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.envs.rollouts import states_of
@@ -29,14 +30,12 @@ def test_task_is_the_same(name: str, kind: str) -> None:
     plain = load_experiment(name)
     task, shown = with_history(plain, **KINDS[kind]), plain.space.dim
     states = torch.cat([task.demonstrated_states, task.initial.mean[None]])
-    torch.testing.assert_close(
+    assert_close(
         task.space.observe(states), plain.space.observe(states[:, :shown]), rtol=0, atol=1e-12
     )
     hidden = kind == "positions"
     kept = [i for i, name in enumerate(plain.space.names) if not (hidden and name[:1] == "d")]
-    torch.testing.assert_close(
-        task.demonstrated_states[:, kept], plain.demonstrated_states[:, kept]
-    )
+    assert_close(task.demonstrated_states[:, kept], plain.demonstrated_states[:, kept])
     assert torch.equal(task.initial.std[kept], plain.initial.std[kept])
     rollout = task.robot(seed=1).rollout(5)
     assert rollout["observation"].shape == (5, task.space.dim)

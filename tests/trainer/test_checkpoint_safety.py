@@ -21,14 +21,7 @@ from tensordict import NonTensorData, TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from tests.helpers.hostile import Trap, members_of, write_members
-from tests.helpers.short_run import (
-    SEED,
-    TRIALS,
-    quick_fits,
-    run,
-    short_experiment,
-    stopped_run,
-)
+from tests.helpers.short_run import SEED, TRIALS, quick_fits, run, short_experiment, stopped_run
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.trainer.checkpoints import (
     newest_undamaged,

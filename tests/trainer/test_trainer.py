@@ -19,6 +19,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.testing import assert_close
 from tqdm import tqdm
 
 from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, short_experiment
@@ -130,9 +131,7 @@ def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> N
         state = env.reset()["observation"]
         for step in rollout:
             action = motion(state)
-            torch.testing.assert_close(
-                (step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12
-            )
+            assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
             state = env.step(TensorDict({"action": action}))["next", "observation"]
 
 
@@ -141,7 +140,7 @@ def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
     for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
         policy.load_state_dict(candidate.parameters)
         expected = policy(trained.actor.space.features(rollout["observation"]))
-        torch.testing.assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
+        assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
 
 
 def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
@@ -448,9 +447,7 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
     actor.exploring = False
     states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
     actions = actor(states)
-    torch.testing.assert_close(
-        actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0
-    )
+    assert_close(actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0)
     assert not actions.requires_grad
 
 

@@ -13,6 +13,7 @@ from tests.helpers.bounded import measured
 from torch_pmil.runs.run_folder import write_settings
 from torch_pmil.runs.settings import (
     OF_TASK,
+    SETTINGS,
     SettingsError,
     documentation_rows,
     read_settings,

@@ -338,23 +338,11 @@ NAMES = ", ".join(settings.SETTINGS)
         ("trials=1e12", "trials must be a whole number from 1 to 1000, got 10"),
         ("trials=0", "trials must be a whole number from 1 to 1000, got 0"),
         ("trials=two", "trials must be a whole number from 1 to 1000, got 'two'"),
-        (
-            "logger=stone",
-            "logger must be one of csv, tensorboard, wandb, mlflow or null, got",
-        ),
-        (
-            "hydra.callbacks.a._target_=os.mkdir",
-            "there is no setting hydra.callbacks.",
-        ),
+        ("logger=stone", "logger must be one of csv, tensorboard, wandb, mlflow or null, got"),
+        ("hydra.callbacks.a._target_=os.mkdir", "there is no setting hydra.callbacks."),
         ("hydra.launcher._target_=os.mkdir", "there is no setting hydra.launcher._target_ in "),
-        (
-            "hydra.launcher.ray._target_=os.mkdir",
-            "there is no setting hydra.launcher.ray.",
-        ),
-        (
-            "+hydra.launcher.a=1",
-            "a setting must be hydra.launcher.a=VALUE, got +",
-        ),
+        ("hydra.launcher.ray._target_=os.mkdir", "there is no setting hydra.launcher.ray."),
+        ("+hydra.launcher.a=1", "a setting must be hydra.launcher.a=VALUE, got +"),
         ("hydra.run.dir=here", "there is no setting hydra.run.dir in hydra.run.dir=here: "),
         ("hydra.sweep.dir=here", "there is no setting hydra.sweep.dir in hydra.sweep.dir=here: "),
         ("hydra/job_logging=default", "there is no setting hydra/job_logging in "),

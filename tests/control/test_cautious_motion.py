@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import (
@@ -82,13 +83,13 @@ def test_of_several_robots_the_nearest_to_a_limit_counts() -> None:
 def test_random_actions_shrink_towards_the_middle_of_the_range() -> None:
     whole = RANDOM.motion(torch.Generator().manual_seed(0))(at(0.0))
     small = cautious()(at(0.0))
-    torch.testing.assert_close(small - 1, FIRST_AMPLITUDE * (whole - 1))
+    assert_close(small - 1, FIRST_AMPLITUDE * (whole - 1))
 
 
 def test_targets_of_movements_shrink_towards_the_pose() -> None:
     whole = MOVEMENTS.motion(torch.Generator().manual_seed(0))(at(0.0))
     small = cautious(MOVEMENTS)(at(0.0))
-    torch.testing.assert_close(small, FIRST_AMPLITUDE * whole)
+    assert_close(small, FIRST_AMPLITUDE * whole)
 
 
 def test_first_motions_of_the_double_pendulum_stay_where_the_whole_ones_leave() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, Motion, PDMovements, RandomActions
@@ -51,7 +52,7 @@ def test_target_stays_for_its_time_and_is_then_another_one() -> None:
     targets = targets_of(MOVEMENTS.motion(generator()), 4 * HOLD, robots=1)[:, 0]
     assert len(targets.round(decimals=9).unique(dim=0)) == 4
     for held in targets.split(HOLD):
-        torch.testing.assert_close(held, held[:1].expand(HOLD, -1), rtol=0, atol=1e-12)
+        assert_close(held, held[:1].expand(HOLD, -1), rtol=0, atol=1e-12)
 
 
 def test_rollout_begins_with_a_new_target_whenever_the_last_one_ended() -> None:
@@ -60,14 +61,14 @@ def test_rollout_begins_with_a_new_target_whenever_the_last_one_ended() -> None:
     motion.begin()
     second = targets_of(motion, HOLD, robots=1)
     assert not torch.allclose(first[-1], second[0])
-    torch.testing.assert_close(second, second[:1].expand(HOLD, -1, -1), rtol=0, atol=1e-12)
+    assert_close(second, second[:1].expand(HOLD, -1, -1), rtol=0, atol=1e-12)
 
 
 def test_torque_is_weight_stiffness_and_damping() -> None:
     still = replace(MOVEMENTS, reach=torch.zeros_like(REACH)).motion(generator())
     state = torch.tensor([0.5, 0.1, 0.7, -0.4], dtype=torch.float64)
     expected = gravity(state) - STIFFNESS * (state - POSE)[:2] - DAMPING * state[2:]
-    torch.testing.assert_close(still(state), expected, rtol=1e-12, atol=0)
+    assert_close(still(state), expected, rtol=1e-12, atol=0)
 
 
 def test_torques_end_at_the_limits() -> None:
@@ -94,8 +95,8 @@ def test_random_actions_are_around_the_middle_unless_it_is_said() -> None:
     motion = RandomActions(TARGETS, 1.0, 20).motion(generator())
     drawn = motion(torch.zeros(4000, 4))
     assert (drawn >= LOW).all() and (drawn <= HIGH).all()
-    torch.testing.assert_close(drawn.amin(0), LOW, rtol=0, atol=0.01)
-    torch.testing.assert_close(drawn.amax(0), HIGH, rtol=0, atol=0.01)
+    assert_close(drawn.amin(0), LOW, rtol=0, atol=0.01)
+    assert_close(drawn.amax(0), HIGH, rtol=0, atol=0.01)
 
 
 @pytest.mark.parametrize("exploration", [MOVEMENTS, RandomActions(TARGETS, 0.4, 20)])
@@ -125,7 +126,7 @@ def test_random_actions_go_along_a_path_and_begin_it_anew_with_each_rollout() ->
     for _ in range(2):
         motion.begin()
         drawn = torch.stack([motion(torch.zeros(2)) for _ in range(5)])
-        torch.testing.assert_close(drawn, path, atol=1e-5, rtol=0)
+        assert_close(drawn, path, atol=1e-5, rtol=0)
 
 
 def test_path_of_another_length_is_refused() -> None:

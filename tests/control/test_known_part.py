@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
@@ -21,7 +22,7 @@ CART = KnownPart.of_velocities(NAMES, {"x": "dx", "q": "dq"}, num_actions=2, tim
 def test_targets_and_successors_are_inverse(known: KnownPart, draws: Draws) -> None:
     x, u, outputs = draws.normal(7, 4), draws.normal(7, 2), draws.normal(7, known.num_outputs)
     after = known.successors(x, u, outputs)
-    torch.testing.assert_close(known.targets(x, u, after), outputs)
+    assert_close(known.targets(x, u, after), outputs)
 
 
 def test_differences_and_successors_are_what_they_are_called(draws: Draws) -> None:
@@ -36,10 +37,8 @@ def test_constant_acceleration_is_integrated_exactly(draws: Draws) -> None:
     dt = 0.04
     x = torch.cat([start, velocity], -1)
     after = CART.successors(x, draws.normal(5, 2), dt * acceleration)
-    torch.testing.assert_close(
-        after[:, :2], start + dt * velocity + dt**2 * acceleration / 2, rtol=0, atol=1e-15
-    )
-    torch.testing.assert_close(after[:, 2:], velocity + dt * acceleration, rtol=0, atol=1e-15)
+    assert_close(after[:, :2], start + dt * velocity + dt**2 * acceleration / 2, rtol=0, atol=1e-15)
+    assert_close(after[:, 2:], velocity + dt * acceleration, rtol=0, atol=1e-15)
 
 
 def test_error_of_the_rule_falls_with_the_cube_of_the_time_step() -> None:
@@ -61,7 +60,7 @@ def test_actions_have_their_known_effect(draws: Draws) -> None:
     known = KnownPart(matrix, gain, (0, 1))
     x, u = draws.normal(4, 2), draws.normal(4, 3)
     expected = x @ matrix[:, :2].mT + u @ matrix[:, 2:].mT
-    torch.testing.assert_close(known.successors(x, u, torch.zeros(4, 2).double()), expected)
+    assert_close(known.successors(x, u, torch.zeros(4, 2).double()), expected)
 
 
 @pytest.mark.parametrize(
@@ -107,23 +106,23 @@ def test_learned_rule_is_exact_for_linear_servos(draws: Draws) -> None:
     x, u, after = servo(draws, 0.04)
     known = CART.with_rule(CART.fitted_rule(x, after))
     outputs = known.targets(x, u, after)
-    torch.testing.assert_close(outputs, CART.targets(x, u, after))
-    torch.testing.assert_close(known.successors(x, u, outputs), after, rtol=0, atol=1e-5)
+    assert_close(outputs, CART.targets(x, u, after))
+    assert_close(known.successors(x, u, outputs), after, rtol=0, atol=1e-5)
     assert (CART.successors(x, u, outputs) - after).abs().max() > 0.02
 
 
 def test_rule_stays_the_trapezoidal_one_where_it_is_exact_or_nothing_moves(draws: Draws) -> None:
     x, u, outputs = draws.normal(20, 4), draws.normal(20, 2), draws.normal(20, 2)
     half = torch.full((2, 2), 0.02, dtype=torch.float64)
-    torch.testing.assert_close(CART.rule, half)
-    torch.testing.assert_close(CART.fitted_rule(x, CART.successors(x, u, outputs)), half)
+    assert_close(CART.rule, half)
+    assert_close(CART.fitted_rule(x, CART.successors(x, u, outputs)), half)
     still = torch.zeros(5, 4, dtype=torch.float64)
-    torch.testing.assert_close(CART.fitted_rule(still, still), half)
+    assert_close(CART.fitted_rule(still, still), half)
 
 
 def test_rule_is_taken_as_it_is_given() -> None:
     rule = torch.tensor([[0.01, 0.03], [0.015, 0.02]], dtype=torch.float64)
-    torch.testing.assert_close(CART.with_rule(rule).rule, rule)
+    assert_close(CART.with_rule(rule).rule, rule)
     with pytest.raises(ValueError, match=r"rule must have shape \(2, 2\), got \(2,\)"):
         CART.with_rule(rule[0])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
@@ -44,17 +45,17 @@ def test_action_is_the_formula_of_the_paper(policy: RBFPolicy, draws: Draws) -> 
             policy.weights[i, a] * torch.exp(-(((x - centres[i]) / widths[a]) ** 2).sum() / 2)
             for i in range(10)
         )
-        torch.testing.assert_close(policy(x)[a], U_MIDDLE[a] + U_MAX[a] * torch.sin(raw))
+        assert_close(policy(x)[a], U_MIDDLE[a] + U_MAX[a] * torch.sin(raw))
 
 
 def test_belief_without_covariance_is_a_state(policy: RBFPolicy, draws: Draws) -> None:
     x = draws.normal(4, 3)
     certain = Gaussian(x, torch.zeros(4, 3, 3, dtype=torch.float64))
     action, slope = policy.controller.on_belief(certain)
-    torch.testing.assert_close(action.mean, policy(x))
-    torch.testing.assert_close(action.cov, torch.zeros(4, 2, 2, dtype=torch.float64))
+    assert_close(action.mean, policy(x))
+    assert_close(action.cov, torch.zeros(4, 2, 2, dtype=torch.float64))
     for i in range(4):
-        torch.testing.assert_close(slope[i], torch.autograd.functional.jacobian(policy, x[i]).mT)
+        assert_close(slope[i], torch.autograd.functional.jacobian(policy, x[i]).mT)
 
 
 def test_narrow_belief_has_the_moments_of_the_linearised_policy(
@@ -64,8 +65,8 @@ def test_narrow_belief_has_the_moments_of_the_linearised_policy(
     jacobian = torch.autograd.functional.jacobian(policy, narrow.mean)
     action, slope = policy.controller.on_belief(narrow)
     linearised = jacobian @ narrow.cov @ jacobian.mT
-    torch.testing.assert_close(action.cov, linearised, rtol=1e-4, atol=1e-12)
-    torch.testing.assert_close(slope, jacobian.mT, rtol=1e-5, atol=1e-6)
+    assert_close(action.cov, linearised, rtol=1e-4, atol=1e-12)
+    assert_close(slope, jacobian.mT, rtol=1e-5, atol=1e-6)
 
 
 def test_action_stays_within_the_limits(policy: RBFPolicy, draws: Draws) -> None:
@@ -87,9 +88,9 @@ def test_scale_is_a_choice_of_units(draws: Draws) -> None:
             policy.weights.copy_(weights)
         actions.append(policy(x * unit.double()))
         gradients.append(torch.autograd.grad(actions[-1].sum(), list(policy.parameters())))
-    torch.testing.assert_close(actions[0], actions[1])
+    assert_close(actions[0], actions[1])
     for one, other in zip(*gradients, strict=True):
-        torch.testing.assert_close(one, other)
+        assert_close(one, other)
 
 
 def test_gradient_of_the_belief_over_the_action(draws: Draws) -> None:

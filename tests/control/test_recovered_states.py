@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import torch
+from torch.testing import assert_close
 
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.demonstrations import shipped_demonstrations
-from torch_pmil.tasks.double_pendulum import (
-    double_pendulum_space,
-    states_from_positions,
-)
+from torch_pmil.tasks.double_pendulum import double_pendulum_space, states_from_positions
 
 NAMES = ("q1", "dq1", "q2", "dq2")
 
@@ -24,9 +22,7 @@ def test_states_of_link_positions_are_those_of_the_arctangents() -> None:
     )
     # least squares end at steps of 1e-8, and the weight on staying biases them by its square
     # whole turns apart
-    torch.testing.assert_close(
-        space.features(found), space.features(expected), atol=1e-4, rtol=1e-4
-    )
+    assert_close(space.features(found), space.features(expected), atol=1e-4, rtol=1e-4)
 
 
 def test_what_is_shown_is_met_and_what_is_not_stays_or_is_derived() -> None:
@@ -34,10 +30,10 @@ def test_what_is_shown_is_met_and_what_is_not_stays_or_is_derived() -> None:
     q1 = torch.linspace(0, 1, 11, dtype=torch.float64).square()
     start = torch.tensor([0.0, 0.0, 0.7, 0.0], dtype=torch.float64)
     found = recover_states(space, q1[None, :, None], 0.1, start, rates_of(NAMES))[0]
-    torch.testing.assert_close(space(found)[:, 0], q1, atol=1e-5, rtol=0)
-    torch.testing.assert_close(found[:, 1], torch.gradient(q1, spacing=0.1)[0], atol=1e-3, rtol=0)
-    torch.testing.assert_close(found[:, 2], torch.full((11,), 0.7).double(), atol=1e-6, rtol=0)
-    torch.testing.assert_close(found[:, 3], torch.zeros(11).double(), atol=1e-6, rtol=0)
+    assert_close(space(found)[:, 0], q1, atol=1e-5, rtol=0)
+    assert_close(found[:, 1], torch.gradient(q1, spacing=0.1)[0], atol=1e-3, rtol=0)
+    assert_close(found[:, 2], torch.full((11,), 0.7).double(), atol=1e-6, rtol=0)
+    assert_close(found[:, 3], torch.zeros(11).double(), atol=1e-6, rtol=0)
 
 
 def test_a_velocity_that_was_shown_is_not_derived() -> None:
@@ -47,4 +43,4 @@ def test_a_velocity_that_was_shown_is_not_derived() -> None:
         MatchSpace.of_entries(names, names), shown, 0.1, torch.zeros(2), rates_of(names)
     )
     # the weight on staying biases by its square, of changes of 7 in units of 3
-    torch.testing.assert_close(found, shown, atol=1e-4, rtol=0)
+    assert_close(found, shown, atol=1e-4, rtol=0)

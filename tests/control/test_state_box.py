@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_box import StateBox
@@ -81,7 +82,7 @@ def test_tip_leaves_as_the_gaussian_of_its_moments_does(states: Gaussian) -> Non
     tip = torch.distributions.Normal(observed.mean[:, 3], observed.std[:, 3])
     bounds = torch.tensor([[-0.2], [0.9]], dtype=torch.float64)
     below, above = tip.cdf(bounds)
-    torch.testing.assert_close(box.leaving_by_step(states), below + 1 - above)
+    assert_close(box.leaving_by_step(states), below + 1 - above)
 
 
 def test_certain_states_leave_surely_or_never() -> None:
@@ -97,7 +98,7 @@ def test_wide_marginals_leave_with_probability_of_all_limits(states: Gaussian) -
     wide = Gaussian(states.mean, 1e12 * states.cov)
     box = StateBox(SPACE, {"dq1": (-1.0, 1.5)})
     one = torch.ones(3, dtype=torch.float64)
-    torch.testing.assert_close(box.leaving_by_step(wide), one, rtol=0, atol=1e-5)
+    assert_close(box.leaving_by_step(wide), one, rtol=0, atol=1e-5)
     assert (SPEEDS.leaving_by_step(wide) == 1).all()  # no more than a probability
 
 
@@ -119,7 +120,7 @@ def test_penalty_pulls_back_from_far_outside_and_hardly_far_inside() -> None:
     penalty = SPEEDS.penalty(Gaussian(mean, cov))
     (gradient,) = torch.autograd.grad(penalty.sum(), speed)
     assert penalty.isfinite().all()
-    torch.testing.assert_close(gradient[:2], (speed.detach()[:2] - 1.5) / 0.01, rtol=0.01, atol=0)
+    assert_close(gradient[:2], (speed.detach()[:2] - 1.5) / 0.01, rtol=0.01, atol=0)
     assert 0 <= penalty[2] < 1e-20
     assert gradient[2].abs() < 1e-20
 
@@ -127,7 +128,7 @@ def test_penalty_pulls_back_from_far_outside_and_hardly_far_inside() -> None:
 def test_penalty_is_minus_the_log_of_what_stays(states: Gaussian) -> None:
     box = StateBox(SPACE, {"dq2": (-INF, 1.0)})
     staying = 1 - box.leaving_by_step(states)
-    torch.testing.assert_close(box.penalty(states), -staying.log())
+    assert_close(box.penalty(states), -staying.log())
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.draws import Draws
@@ -67,7 +68,7 @@ def batch_program(exported: Path) -> Callable[[Tensor], Tensor]:
 def test_torque_is_that_of_the_network_at_the_features(policy: StatePolicy, draws: Draws) -> None:
     q1, dq1, q2, dq2 = states = draws.normal(4)
     features = torch.stack([dq1, dq2, q1.sin(), q2.sin(), q1.cos(), q2.cos()])
-    torch.testing.assert_close(policy(states), policy.policy(features), rtol=0, atol=1e-14)
+    assert_close(policy(states), policy.policy(features), rtol=0, atol=1e-14)
 
 
 def test_torque_does_not_change_by_a_full_turn_and_stays_within_the_limits(
@@ -75,7 +76,7 @@ def test_torque_does_not_change_by_a_full_turn_and_stays_within_the_limits(
 ) -> None:
     states = 3 * draws.normal(500, 4)
     turn = 2 * torch.pi * torch.tensor([1.0, 0.0, -2.0, 0.0], dtype=torch.float64)
-    torch.testing.assert_close(policy(states + turn), policy(states), rtol=0, atol=1e-10)
+    assert_close(policy(states + turn), policy(states), rtol=0, atol=1e-10)
     assert policy(states).abs().max() > 1
     assert (policy(states).abs() <= 3.5).all()
 
@@ -95,7 +96,7 @@ def test_arrays_make_arrays_and_tensors_make_tensors_of_any_batch(
 def test_batch_is_its_states_one_by_one(policy: StatePolicy, draws: Draws) -> None:
     states = draws.normal(6, 4)
     alone = torch.stack([policy(state) for state in states])
-    torch.testing.assert_close(policy(states), alone, rtol=0, atol=1e-13)
+    assert_close(policy(states), alone, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, ">f8"])
@@ -178,12 +179,12 @@ def test_policy_on_a_gpu_acts_as_on_the_cpu_and_is_exported_for_the_cpu(
 ) -> None:
     states, there = draws.normal(5, 4), copy.deepcopy(policy).cuda()
     close = {"rtol": 0, "atol": 1e-12}
-    torch.testing.assert_close(there(states.cuda()).cpu(), policy(states), **close)
-    torch.testing.assert_close(torch.from_numpy(there(states.numpy())), policy(states), **close)
+    assert_close(there(states.cuda()).cpu(), policy(states), **close)
+    assert_close(torch.from_numpy(there(states.numpy())), policy(states), **close)
     there.export(tmp_path / "policy.pt2")
     assert there.policy.u_max.is_cuda
     program = torch.export.load(tmp_path / "policy.pt2").module()
-    torch.testing.assert_close(program(states[0]), policy(states[0]), **close)
+    assert_close(program(states[0]), policy(states[0]), **close)
 
 
 def test_policy_says_what_it_is_for(policy: StatePolicy) -> None:
@@ -208,7 +209,7 @@ def test_exported_program_takes_batches_of_any_size(
 ) -> None:
     for count in (0, 1, 2, 100):
         states = 3 * draws.normal(count, 4)
-        torch.testing.assert_close(batch_program(states), policy(states), rtol=0, atol=1e-12)
+        assert_close(batch_program(states), policy(states), rtol=0, atol=1e-12)
 
 
 def test_export_leaves_the_policy_and_its_state_space_as_they_were(
@@ -236,7 +237,7 @@ def test_policy_that_still_learns_is_exported_as_it_is_then(tmp_path: Path, draw
     weights.data.zero_()
     assert weights.requires_grad
     program = torch.export.load(tmp_path / "policy.pt2").module()
-    torch.testing.assert_close(program(state), expected, rtol=0, atol=1e-12)
+    assert_close(program(state), expected, rtol=0, atol=1e-12)
 
 
 def test_exported_program_needs_pytorch_alone(
@@ -263,7 +264,7 @@ except ImportError:
     assert process.returncode == 0, process.stderr
     assert process.stdout == "no torch_pmil\n"
     for torques in torch.load(tmp_path / "torques.pt", weights_only=True):
-        torch.testing.assert_close(torques, policy(states), rtol=0, atol=1e-12)
+        assert_close(torques, policy(states), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

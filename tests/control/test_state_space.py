@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_space import MatchSpace, StateSpace, joint_match
@@ -44,7 +45,7 @@ def test_features_are_the_other_entries_then_sines_then_cosines(
 def test_features_do_not_change_by_a_full_turn(space: StateSpace, draws: Draws) -> None:
     x = draws.normal(4)
     turned = x + 2 * torch.pi * torch.tensor([1.0, -3.0, 0.0, 0.0], dtype=torch.float64)
-    torch.testing.assert_close(space.features(turned), space.features(x))
+    assert_close(space.features(turned), space.features(x))
 
 
 def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
@@ -52,12 +53,10 @@ def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
 ) -> None:
     x = draws.normal(3, 4)
     features, slope = space.feature_moments(point(x))
-    torch.testing.assert_close(features.mean, space.features(x))
-    torch.testing.assert_close(features.cov, torch.zeros(3, 6, 6, dtype=torch.float64))
+    assert_close(features.mean, space.features(x))
+    assert_close(features.cov, torch.zeros(3, 6, 6, dtype=torch.float64))
     for i in range(3):
-        torch.testing.assert_close(
-            slope[i], torch.autograd.functional.jacobian(space.features, x[i]).mT
-        )
+        assert_close(slope[i], torch.autograd.functional.jacobian(space.features, x[i]).mT)
 
 
 def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
@@ -65,7 +64,7 @@ def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
     space, x = StateSpace(names, units, (1,), joint_match(names, units)), draws.normal(3)
     assert space.feature_names == ("a", "c", "sin b", "cos b")
     assert torch.equal(space.features(x), torch.stack([x[0], x[2], x[1].sin(), x[1].cos()]))
-    torch.testing.assert_close(space.feature_moments(point(x))[0].mean, space.features(x))
+    assert_close(space.feature_moments(point(x))[0].mean, space.features(x))
 
 
 def test_state_without_angles_is_its_own_features(draws: Draws) -> None:
@@ -77,7 +76,7 @@ def test_state_without_angles_is_its_own_features(draws: Draws) -> None:
 def test_link_positions_are_those_of_geometry(links: MatchSpace) -> None:
     right_angle = torch.tensor([torch.pi / 2, -torch.pi / 2, 3.0, -3.0], dtype=torch.float64)
     expected = torch.tensor([0.5, 0.0, 0.5, -0.5], dtype=torch.float64)
-    torch.testing.assert_close(links(right_angle), expected)
+    assert_close(links(right_angle), expected)
 
 
 def test_match_belief_at_zero_covariance_is_the_observation(
@@ -85,8 +84,8 @@ def test_match_belief_at_zero_covariance_is_the_observation(
 ) -> None:
     x = draws.normal(3, 4)
     observed = links.moments(point(x))
-    torch.testing.assert_close(observed.mean, links(x))
-    torch.testing.assert_close(observed.cov, torch.zeros(3, 4, 4, dtype=torch.float64))
+    assert_close(observed.mean, links(x))
+    assert_close(observed.cov, torch.zeros(3, 4, 4, dtype=torch.float64))
 
 
 def test_match_belief_has_the_moments_of_observed_samples(links: MatchSpace, draws: Draws) -> None:
@@ -103,8 +102,8 @@ def test_joint_match_is_the_identity_in_single_and_double_precision(draws: Draws
     match, belief = joint_match(NAMES, UNITS), draws.belief(2, 4)
     assert torch.equal(match(belief.mean.float()), belief.mean.float())
     observed = match.moments(belief)
-    torch.testing.assert_close(observed.mean, belief.mean)
-    torch.testing.assert_close(observed.cov, belief.cov)
+    assert_close(observed.mean, belief.mean)
+    assert_close(observed.cov, belief.cov)
 
 
 def test_units_that_do_not_fit_are_an_error() -> None:

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
@@ -53,8 +54,8 @@ def assert_products_of_the_whole_matrix(
 ) -> None:
     Q = whole_matrix(left, right, M)
     wQ, Qz = pairwise_kernel_sums(left, right, w, z, M)
-    torch.testing.assert_close(wQ, w @ Q, rtol=1e-12, atol=1e-12)
-    torch.testing.assert_close(Qz, Q @ z, rtol=1e-12, atol=1e-12)
+    assert_close(wQ, w @ Q, rtol=1e-12, atol=1e-12)
+    assert_close(Qz, Q @ z, rtol=1e-12, atol=1e-12)
 
 
 # --- products ---
@@ -115,7 +116,7 @@ def test_number_of_threads_does_not_change_the_products(
         torch.set_num_threads(threads)
         products.append(pairwise_kernel_sums(*given))
     for one, two in zip(*products, strict=True):
-        torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
+        assert_close(one, two, rtol=1e-13, atol=1e-13)
 
 
 @with_and_without_M
@@ -180,7 +181,7 @@ def test_sum_and_gradient_are_those_of_the_whole_matrix(
         total = function(**arguments)
         results.append((total, *torch.autograd.grad(total, leaves, cotangent)))
     for ours, naive in zip(*results, strict=True):
-        torch.testing.assert_close(ours, naive, rtol=1e-11, atol=1e-11)
+        assert_close(ours, naive, rtol=1e-11, atol=1e-11)
 
 
 @with_and_without_M

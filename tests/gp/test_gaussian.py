@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
-from torch_pmil.gp.gaussian import (
-    Gaussian,
-    NotPositiveDefiniteError,
-    check_belief,
-    cholesky,
-    joint,
-)
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, check_belief, cholesky, joint
 
 
 def test_marginal_takes_entries_in_the_order_asked_for(draws: Draws) -> None:
@@ -27,8 +22,8 @@ def test_affine_map_acts_on_mean_and_covariance(draws: Draws) -> None:
     belief, matrix, offset = draws.belief(4, 3), draws.normal(2, 3), draws.normal(2)
     mapped = belief.affine(matrix, offset)
     for i in range(4):
-        torch.testing.assert_close(mapped.mean[i], matrix @ belief.mean[i] + offset)
-        torch.testing.assert_close(mapped.cov[i], matrix @ belief.cov[i] @ matrix.T)
+        assert_close(mapped.mean[i], matrix @ belief.mean[i] + offset)
+        assert_close(mapped.cov[i], matrix @ belief.cov[i] @ matrix.T)
 
 
 def test_joint_has_the_marginals_it_was_made_of(draws: Draws) -> None:
@@ -43,10 +38,8 @@ def test_joint_has_the_marginals_it_was_made_of(draws: Draws) -> None:
 
 def test_noise_adds_to_the_variances(draws: Draws) -> None:
     belief, variance = draws.belief(4, 2), draws.uniform(0.1, 1.0, 4, 2)
-    torch.testing.assert_close(
-        belief.add_noise(variance).cov - belief.cov, torch.diag_embed(variance)
-    )
-    torch.testing.assert_close(belief.add_noise(0.5).std.square(), belief.std.square() + 0.5)
+    assert_close(belief.add_noise(variance).cov - belief.cov, torch.diag_embed(variance))
+    assert_close(belief.add_noise(0.5).std.square(), belief.std.square() + 0.5)
     assert torch.equal(belief.add_noise(variance).mean, belief.mean)
 
 
@@ -96,7 +89,7 @@ def test_cholesky_error_names_matrix_element_and_eigenvalues() -> None:
 def test_cholesky_adds_no_jitter(draws: Draws) -> None:
     cov = draws.cov(5, 3)
     factor = cholesky(cov, "cov")
-    torch.testing.assert_close(factor @ factor.mT, cov, rtol=1e-14, atol=1e-15)
+    assert_close(factor @ factor.mT, cov, rtol=1e-14, atol=1e-15)
 
 
 # --- beliefs that are none ---

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.textbook import hermite_grid, textbook_Q, textbook_q
@@ -44,12 +45,10 @@ def test_integrals_are_those_of_quadrature(draws: Draws, D: int, scale: float) -
     for b in range(3):
         x, w = hermite_grid(beliefs[b])
         kernels = f.kernel(x)
-        torch.testing.assert_close(
-            integrals.q[b], (w[:, None, None] * kernels).sum(0), rtol=0, atol=1e-10
-        )
+        assert_close(integrals.q[b], (w[:, None, None] * kernels).sum(0), rtol=0, atol=1e-10)
         for p, (first, second) in enumerate(zip(f.pairs.first, f.pairs.second, strict=True)):
             expected = kernels[:, first].mT @ (w[:, None] * kernels[:, second])
-            torch.testing.assert_close(Q[b, p], expected, rtol=0, atol=1e-10)
+            assert_close(Q[b, p], expected, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-8, 0.3, 30.0])
@@ -74,7 +73,7 @@ def test_precision_is_that_of_the_belief_widened_by_the_kernel(draws: Draws) -> 
     both = 1 / (1 / widths[:1] + 1 / widths[1:])
     widened = beliefs.cov[:, None] + torch.diag_embed(torch.cat([widths, widths / 2, both]))
     precision = GaussianIntegrals.of(f, beliefs).precision
-    torch.testing.assert_close(precision, torch.linalg.inv(widened), rtol=1e-12, atol=1e-12)
+    assert_close(precision, torch.linalg.inv(widened), rtol=1e-12, atol=1e-12)
 
 
 def test_gradient(draws: Draws) -> None:
@@ -99,9 +98,9 @@ def test_zero_covariance_gives_the_kernels_and_their_products(draws: Draws) -> N
     f, x = network(draws, 6, 3, 2), draws.normal(4, 3)
     integrals = GaussianIntegrals.of(f, Gaussian(x, torch.zeros(4, 3, 3, dtype=torch.float64)))
     kernels, products = f.kernel(x), f.pairs
-    torch.testing.assert_close(integrals.q, kernels, rtol=1e-13, atol=0)
+    assert_close(integrals.q, kernels, rtol=1e-13, atol=0)
     expected = kernels[:, products.first, :, None] * kernels[:, products.second, None, :]
-    torch.testing.assert_close(pair_matrices(integrals), expected, rtol=1e-12, atol=0)
+    assert_close(pair_matrices(integrals), expected, rtol=1e-12, atol=0)
 
 
 def test_singular_covariance_is_the_limit_of_regular_ones(draws: Draws) -> None:
@@ -110,8 +109,8 @@ def test_singular_covariance_is_the_limit_of_regular_ones(draws: Draws) -> None:
     on_the_line = GaussianIntegrals.of(f, Gaussian(mean, line))
     around = line + 1e-10 * torch.eye(3, dtype=torch.float64)
     nearly = GaussianIntegrals.of(f, Gaussian(mean, around))
-    torch.testing.assert_close(on_the_line.q, nearly.q, rtol=1e-7, atol=0)
-    torch.testing.assert_close(pair_matrices(on_the_line), pair_matrices(nearly), rtol=1e-7, atol=0)
+    assert_close(on_the_line.q, nearly.q, rtol=1e-7, atol=0)
+    assert_close(pair_matrices(on_the_line), pair_matrices(nearly), rtol=1e-7, atol=0)
 
 
 @pytest.mark.parametrize(
@@ -147,12 +146,12 @@ def test_belief_that_reaches_data_far_away_gives_them_their_share(
 
     for a in range(2):
         expected = factor[a] * density(x - mean, widths[a] + variance)
-        torch.testing.assert_close(integrals.q[0, a], expected, rtol=1e-13, atol=0)
+        assert_close(integrals.q[0, a], expected, rtol=1e-13, atol=0)
     for p, (a, b) in enumerate(zip(f.pairs.first, f.pairs.second, strict=True)):
         centres = (widths[b] * x[:, None] + widths[a] * x) / (widths[a] + widths[b])
         both = density(centres - mean, variance + widths[a] * widths[b] / (widths[a] + widths[b]))
         expected = factor[a] * factor[b] * density(x[:, None] - x, widths[a] + widths[b]) * both
-        torch.testing.assert_close(Q[p], expected, rtol=1e-15 * distance**2 + 1e-12, atol=0)
+        assert_close(Q[p], expected, rtol=1e-15 * distance**2 + 1e-12, atol=0)
 
 
 @pytest.mark.parametrize("distance", [1e3, 1e6])

@@ -9,6 +9,7 @@ import gpytorch
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.gp.test_marginal_likelihood import model_of
 from tests.helpers.draws import Draws
@@ -114,8 +115,8 @@ def test_pilco_starts_are_in_the_units_of_the_data(draws: Draws) -> None:
     for start, (factor, ratio) in zip(
         pilco_starts(inputs, target), itertools.product((1, 2), (0.1, 0.01)), strict=True
     ):
-        torch.testing.assert_close(start[:3].exp(), factor * inputs.std(0))
-        torch.testing.assert_close(
+        assert_close(start[:3].exp(), factor * inputs.std(0))
+        assert_close(
             start[3:].exp().sqrt(), target.std() * torch.tensor([1.0, ratio], dtype=torch.float64)
         )
 
@@ -131,7 +132,7 @@ def test_column_that_never_changes_is_of_its_own_size(draws: Draws) -> None:
     )
     start, *_ = pilco_starts(inputs, torch.full((50,), 4.0, dtype=torch.float64))
     expected = torch.tensor([0.7, 1.0, inputs[:, 2].std(), 16.0, 0.16], dtype=torch.float64)
-    torch.testing.assert_close(start.exp(), expected, rtol=1e-6, atol=0)
+    assert_close(start.exp(), expected, rtol=1e-6, atol=0)
 
 
 def log_of(length: float, signal_to_noise: float) -> Tensor:
@@ -170,13 +171,13 @@ def test_slope_of_the_penalty_is_that_by_automatic_differentiation(draws: Draws)
     (expected,) = torch.autograd.grad(plain, parameters)
     value, slope = penalty(parameters.detach(), log_spread)
     assert value == pytest.approx(plain.item(), rel=1e-12)
-    torch.testing.assert_close(slope, expected, rtol=1e-12, atol=0)
+    assert_close(slope, expected, rtol=1e-12, atol=0)
 
 
 def test_joined_is_the_adjoint_of_of_outputs(draws: Draws) -> None:
     parameters, cotangents = draws.normal(3 + 2 * 4), draws.normal(4, 5)
     by_outputs = (of_outputs(parameters, 3) * cotangents).sum()
-    torch.testing.assert_close(parameters @ joined(cotangents), by_outputs)
+    assert_close(parameters @ joined(cotangents), by_outputs)
 
 
 def test_twins_have_the_lengthscales_of_one_and_variances_in_their_units(
@@ -188,9 +189,9 @@ def test_twins_have_the_lengthscales_of_one_and_variances_in_their_units(
     both = find_hyperparameters(inputs, twins, pilco_starts(inputs, twins), max_iterations=100)
     expected = one.log_parameters.expand(2, -1).clone()
     expected[1, -2:] += 2 * math.log(10)
-    torch.testing.assert_close(of_outputs(both.log_parameters, 2), expected, atol=1e-2, rtol=0)
+    assert_close(of_outputs(both.log_parameters, 2), expected, atol=1e-2, rtol=0)
     shift = torch.tensor([0.0, len(target) * math.log(10)], dtype=torch.float64)
-    torch.testing.assert_close(
+    assert_close(
         both.negative_log_likelihood, one.negative_log_likelihood + shift, atol=1e-4, rtol=0
     )
 

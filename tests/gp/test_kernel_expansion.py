@@ -13,6 +13,7 @@ import pytest
 import torch
 from gpytorch.means import ConstantMean
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.exact_gps import exact_gp_of
@@ -51,10 +52,8 @@ def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
     for index in range(8):
         i, j = divmod(index, 4)
         expected = naive_kernels(f, x[i, j])
-        torch.testing.assert_close(kernel[i, j], expected, rtol=1e-13, atol=0)
-        torch.testing.assert_close(
-            mean[i, j], (expected * f.weights).sum(-1) + f.offset, rtol=1e-12, atol=1e-12
-        )
+        assert_close(kernel[i, j], expected, rtol=1e-13, atol=0)
+        assert_close(mean[i, j], (expected * f.weights).sum(-1) + f.offset, rtol=1e-12, atol=1e-12)
 
 
 def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: Draws) -> None:
@@ -64,16 +63,16 @@ def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: D
         f.inputs, targets, f.lengthscales, f.signal_variance, f.noise_variance, f.offset
     )
     mean, variance = f.predict(x)
-    torch.testing.assert_close(mean, f.mean(x))
+    assert_close(mean, f.mean(x))
     for a in range(3):
         eye = torch.eye(8, dtype=torch.float64)
         gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[a] * eye
         k = torch.stack([naive_kernels(f, point)[a] for point in x])  # (5, 8)
-        torch.testing.assert_close(f.gram_inverse[a] @ gram, eye)
-        torch.testing.assert_close(
+        assert_close(f.gram_inverse[a] @ gram, eye)
+        assert_close(
             mean[:, a], f.offset[a] + k @ torch.linalg.solve(gram, targets[a] - f.offset[a])
         )
-        torch.testing.assert_close(
+        assert_close(
             variance[:, a], f.signal_variance[a] - (k * torch.linalg.solve(gram, k.mT).mT).sum(-1)
         )
 
@@ -81,7 +80,7 @@ def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: D
 def test_network_is_certain(draws: Draws) -> None:
     f, x = draws.network(6, 2, 3), draws.normal(4, 2)
     mean, variance = f.predict(x)
-    torch.testing.assert_close(mean, f.mean(x))
+    assert_close(mean, f.mean(x))
     assert torch.equal(variance, torch.zeros(4, 3, dtype=torch.float64))
 
 
@@ -109,13 +108,13 @@ def test_outputs_with_own_inputs_are_expansions_of_their_own(draws: Draws) -> No
             inputs[a], targets[a : a + 1], *(parameter[a : a + 1] for parameter in hyperparameters)
         )
         for ours, expected in zip((mean, variance), alone.predict(x), strict=True):
-            torch.testing.assert_close(ours[:, a], expected[:, 0], rtol=1e-11, atol=1e-11)
+            assert_close(ours[:, a], expected[:, 0], rtol=1e-11, atol=1e-11)
         expected = moment_match(alone, belief, observation_noise=True)
-        torch.testing.assert_close(moments.mean[:, a], expected.mean[:, 0], rtol=1e-11, atol=1e-11)
+        assert_close(moments.mean[:, a], expected.mean[:, 0], rtol=1e-11, atol=1e-11)
         close = {"rtol": 1e-10, "atol": 1e-10}
-        torch.testing.assert_close(moments.cov[:, a, a], expected.cov[:, 0, 0], **close)
+        assert_close(moments.cov[:, a, a], expected.cov[:, 0, 0], **close)
         slope, wanted = (each.inv_cov_cross_cov for each in (moments, expected))
-        torch.testing.assert_close(slope[..., a], wanted[..., 0], **close)
+        assert_close(slope[..., a], wanted[..., 0], **close)
 
 
 def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
@@ -124,9 +123,9 @@ def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
     shared = KernelExpansion.from_data(gp.inputs, targets, *hyperparameters)
     own = KernelExpansion.from_data(gp.inputs.expand(2, 6, 2), targets, *hyperparameters)
     for one, other in zip(shared.predict(x), own.predict(x), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-11, atol=1e-11)
+        assert_close(one, other, rtol=1e-11, atol=1e-11)
     belief = draws.belief(2)
-    torch.testing.assert_close(
+    assert_close(
         moment_match(own, belief).cov, moment_match(shared, belief).cov, rtol=1e-10, atol=1e-10
     )
 
@@ -147,15 +146,15 @@ def test_inputs_far_from_zero_fit_as_well_as_centred_ones(draws: Draws, own_inpu
     near, far = (
         KernelExpansion.from_data(inputs + offset, targets, *kernel) for offset in (0.0, FAR)
     )
-    torch.testing.assert_close(far.weights, near.weights, rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(far.gram_inverse, near.gram_inverse, rtol=1e-9, atol=1e-9)
+    assert_close(far.weights, near.weights, rtol=1e-9, atol=1e-9)
+    assert_close(far.gram_inverse, near.gram_inverse, rtol=1e-9, atol=1e-9)
     for ours, expected in zip(far.predict(x + FAR), near.predict(x), strict=True):
-        torch.testing.assert_close(ours, expected, rtol=1e-9, atol=1e-9)
+        assert_close(ours, expected, rtol=1e-9, atol=1e-9)
     cov = draws.cov(4, 2)
     moments = moment_match(far, Gaussian(x + FAR, cov))
     expected = moment_match(near, Gaussian(x, cov))
-    torch.testing.assert_close(moments.mean, expected.mean, rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(moments.cov, expected.cov, rtol=1e-9, atol=1e-9)
+    assert_close(moments.mean, expected.mean, rtol=1e-9, atol=1e-9)
+    assert_close(moments.cov, expected.cov, rtol=1e-9, atol=1e-9)
 
 
 # --- GPyTorch's models ---
@@ -196,8 +195,8 @@ def test_single_precision_hyperparameters_serve_data_in_double_precision(
         (posterior.mean, posterior.variance),
         strict=True,
     ):
-        torch.testing.assert_close(ours, same, rtol=1e-10, atol=1e-10)
-        torch.testing.assert_close(ours, theirs.mT, rtol=1e-8, atol=1e-8)
+        assert_close(ours, same, rtol=1e-10, atol=1e-10)
+        assert_close(ours, theirs.mT, rtol=1e-8, atol=1e-8)
 
 
 # --- arguments ---

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.testing import assert_close
 
 from torch_pmil.gp.lbfgs import NotFiniteError, minimise, minimise_function
 
@@ -26,7 +27,7 @@ def rosenbrock(x: Tensor) -> Tensor:
 def test_rosenbrock_is_minimised() -> None:
     x = parameter(-1.2, 1.0)
     result = minimise([x], lambda: rosenbrock(x), max_iterations=200)
-    torch.testing.assert_close(x.detach(), torch.ones(2, dtype=torch.float64), rtol=0, atol=1e-4)
+    assert_close(x.detach(), torch.ones(2, dtype=torch.float64), rtol=0, atol=1e-4)
     assert result.initial_loss == pytest.approx(24.2)
     assert result.loss == rosenbrock(x).item() < 1e-8
     assert result.failures == 0
@@ -42,7 +43,7 @@ def test_parameters_of_several_shapes_are_searched_together_without_contiguous_g
 
     assert not torch.autograd.grad(objective(), matrix)[0].is_contiguous()
     minimise([matrix, scalar], objective, max_iterations=50)
-    torch.testing.assert_close(matrix.mT.detach(), target, rtol=0, atol=1e-4)
+    assert_close(matrix.mT.detach(), target, rtol=0, atol=1e-4)
     assert scalar.item() == pytest.approx(1, abs=1e-4)
 
 

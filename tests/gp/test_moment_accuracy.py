@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.exact_moments import ExactMoments, exact, hard_problem, inverse
@@ -212,9 +213,9 @@ def test_estimates_of_a_batch_are_those_of_each(
     together, moments = rounding_errors(f, belief), moment_match(f, belief)
     for name in ("mean", "cov", "inv_cov_cross_cov"):
         assert getattr(together, name).shape == getattr(moments, name).shape
-    torch.testing.assert_close(together.cov, together.cov.mT)
+    assert_close(together.cov, together.cov.mT)
     monkeypatch.setattr("torch_pmil.gp.moment_accuracy.LARGEST_ARRAY", 1)
-    torch.testing.assert_close(rounding_errors(f, belief).cov, together.cov)
+    assert_close(rounding_errors(f, belief).cov, together.cov)
 
 
 def test_condition_number_is_that_of_the_gram_matrix(draws: Draws) -> None:
@@ -224,4 +225,4 @@ def test_condition_number_is_that_of_the_gram_matrix(draws: Draws) -> None:
         gram = torch.exp(-(x[output] - x[output].mT).square() / 2) + 0.1 * torch.eye(9)
         expected = torch.linalg.cond(gram.double()).item()
         assert condition_number(f, output) == pytest.approx(expected, rel=1e-6)
-    torch.testing.assert_close(signal_to_noise(f), 10**0.5 * one)
+    assert_close(signal_to_noise(f), 10**0.5 * one)

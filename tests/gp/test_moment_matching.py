@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 from torch.autograd.graph import saved_tensors_hooks
 from torch.nn import Module
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.exact_gps import ExactGP, exact_gp_of
@@ -78,17 +79,17 @@ def test_moments_are_those_of_quadrature(
     cross_cov = (x - belief.mean).mT @ (w[:, None] * (mean_at - mean))
 
     moments = moment_match(f, belief)
-    torch.testing.assert_close(moments.mean, mean, rtol=0, atol=1e-6)
-    torch.testing.assert_close(moments.cov, cov, rtol=0, atol=1e-6)
-    torch.testing.assert_close(moments.cross_cov(belief), cross_cov, rtol=0, atol=1e-6)
+    assert_close(moments.mean, mean, rtol=0, atol=1e-6)
+    assert_close(moments.cov, cov, rtol=0, atol=1e-6)
+    assert_close(moments.cross_cov(belief), cross_cov, rtol=0, atol=1e-6)
 
 
 def test_observation_noise_adds_to_the_variances_alone(draws: Draws) -> None:
     f, belief = draws.gp(8, 2, 3), draws.belief(2)
     latent, observed = moment_match(f, belief), moment_match(f, belief, observation_noise=True)
-    torch.testing.assert_close(observed.cov - latent.cov, torch.diag(f.noise_variance))
-    torch.testing.assert_close(observed.mean, latent.mean)
-    torch.testing.assert_close(observed.inv_cov_cross_cov, latent.inv_cov_cross_cov)
+    assert_close(observed.cov - latent.cov, torch.diag(f.noise_variance))
+    assert_close(observed.mean, latent.mean)
+    assert_close(observed.inv_cov_cross_cov, latent.inv_cov_cross_cov)
 
 
 # --- the zero-covariance limit, on fitted models ---
@@ -132,10 +133,10 @@ def test_zero_covariance_recovers_the_posterior_of_a_fitted_gp(
 
     moments = moment_match(model, point(x.detach()))
     close = {"rtol": 1e-8, "atol": 1e-8}
-    torch.testing.assert_close(moments.mean, posterior.mean.flatten(), **close)
-    torch.testing.assert_close(moments.cov, torch.diag(posterior.variance.flatten()), **close)
-    torch.testing.assert_close(moments.inv_cov_cross_cov, torch.stack(gradients, -1), **close)
-    torch.testing.assert_close(
+    assert_close(moments.mean, posterior.mean.flatten(), **close)
+    assert_close(moments.cov, torch.diag(posterior.variance.flatten()), **close)
+    assert_close(moments.inv_cov_cross_cov, torch.stack(gradients, -1), **close)
+    assert_close(
         moment_match(model, point(x.detach()), observation_noise=True).cov,
         torch.diag(observed.variance.flatten()),
         **close,
@@ -197,7 +198,7 @@ def test_batch_is_a_loop(draws: Draws, make: Callable[..., KernelExpansion]) -> 
     together = parts(moment_match(f, beliefs))
     for index in np.ndindex(2, 4):
         for batched, alone in zip(together, parts(moment_match(f, beliefs[index])), strict=True):
-            torch.testing.assert_close(batched[index], alone)
+            assert_close(batched[index], alone)
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])
@@ -206,7 +207,7 @@ def test_covariance_is_symmetric_and_positive_semidefinite(
 ) -> None:
     f, beliefs = make(draws, 10, 3, 3), draws.belief(20, 3, scale=1.0)
     moments = moment_match(f, beliefs)
-    torch.testing.assert_close(moments.cov, moments.cov.mT, rtol=0, atol=0)
+    assert_close(moments.cov, moments.cov.mT, rtol=0, atol=0)
     both = joint(beliefs, moments.gaussian, moments.cross_cov(beliefs))
     assert torch.linalg.eigvalsh(both.cov).min() > -1e-10
 
@@ -257,4 +258,4 @@ def test_kernel_without_a_scale_is_one_of_scale_one(draws: Draws, batch: tuple[i
     scaled.outputscale = 1.0
     model.covar_module = scaled
     for one, other in zip(bare, parts(moment_match(model, belief)), strict=True):
-        torch.testing.assert_close(one, other)
+        assert_close(one, other)

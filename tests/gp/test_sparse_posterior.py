@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -44,14 +45,14 @@ NO_RIDGE = torch.zeros(OUTPUTS, dtype=torch.float64)
 def test_gram_has_the_values_of_the_kernel(model: Model, points: Tensor) -> None:
     f = KernelExpansion.from_data(**model)
     values = gram(points, model["inputs"], model["lengthscales"], model["signal_variance"])
-    torch.testing.assert_close(values.transpose(0, 1), f.kernel(points))
+    assert_close(values.transpose(0, 1), f.kernel(points))
 
 
 def test_all_data_as_inducing_inputs_give_the_exact_posterior(model: Model, points: Tensor) -> None:
     exact = KernelExpansion.from_data(**model)
     sparse = sparse_posterior(**model, inducing=model["inputs"], ridge=NO_RIDGE)
     for ours, wanted in zip(sparse.predict(points), exact.predict(points), strict=True):
-        torch.testing.assert_close(ours, wanted, rtol=1e-8, atol=1e-10)
+        assert_close(ours, wanted, rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize("ridge", [0.0, 0.1])
@@ -79,8 +80,8 @@ def test_posterior_is_that_of_the_fitc_prior(
     told = (cross * torch.linalg.solve(data_cov, cross.mT).mT).sum(-1)
     variance = model["signal_variance"][:, None] - told
     ours = sparse.predict(points)
-    torch.testing.assert_close(ours[0].mT, mean, rtol=1e-8, atol=1e-10)
-    torch.testing.assert_close(ours[1].mT, variance, rtol=1e-8, atol=1e-10)
+    assert_close(ours[0].mT, mean, rtol=1e-8, atol=1e-10)
+    assert_close(ours[1].mT, variance, rtol=1e-8, atol=1e-10)
 
 
 def test_gradients_are_those_of_differences(model: Model) -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.textbook import hermite_grid
@@ -61,9 +62,9 @@ def test_moments_are_those_of_quadrature(
     cross_cov = (x - belief.mean).mT @ (w[:, None] * (y - mean))
 
     result, inv_cov_cross_cov = moments(belief)
-    torch.testing.assert_close(result.mean, mean, rtol=0, atol=1e-10)
-    torch.testing.assert_close(result.cov, cov, rtol=0, atol=1e-10)
-    torch.testing.assert_close(belief.cov @ inv_cov_cross_cov, cross_cov, rtol=0, atol=1e-10)
+    assert_close(result.mean, mean, rtol=0, atol=1e-10)
+    assert_close(result.cov, cov, rtol=0, atol=1e-10)
+    assert_close(belief.cov @ inv_cov_cross_cov, cross_cov, rtol=0, atol=1e-10)
 
 
 @both
@@ -72,9 +73,9 @@ def test_zero_covariance_is_the_function_and_its_gradient(
 ) -> None:
     x = draws.normal(2)
     result, slope = moments(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)))
-    torch.testing.assert_close(result.mean, function(x))
-    torch.testing.assert_close(result.cov, torch.zeros_like(result.cov))
-    torch.testing.assert_close(slope, torch.autograd.functional.jacobian(function, x).mT)
+    assert_close(result.mean, function(x))
+    assert_close(result.cov, torch.zeros_like(result.cov))
+    assert_close(slope, torch.autograd.functional.jacobian(function, x).mT)
 
 
 @both
@@ -95,9 +96,9 @@ def test_batch_is_a_loop(draws: Draws, moments: Moments, function: Function) -> 
     together, slopes = moments(beliefs)
     for index in np.ndindex(2, 3):
         alone, slope = moments(beliefs[index])
-        torch.testing.assert_close(together[index].mean, alone.mean)
-        torch.testing.assert_close(together[index].cov, alone.cov)
-        torch.testing.assert_close(slopes[index], slope)
+        assert_close(together[index].mean, alone.mean)
+        assert_close(together[index].cov, alone.cov)
+        assert_close(slopes[index], slope)
 
 
 @both
@@ -106,7 +107,7 @@ def test_covariance_is_symmetric_and_positive_semidefinite(
     draws: Draws, moments: Moments, function: Function, scale: float
 ) -> None:
     result, _ = moments(draws.belief(20, 2, scale=scale))
-    torch.testing.assert_close(result.cov, result.cov.mT)
+    assert_close(result.cov, result.cov.mT)
     assert torch.linalg.eigvalsh(result.cov / result.cov.abs().max()).min() > -1e-12
 
 
@@ -133,8 +134,8 @@ def test_wide_belief_spreads_over_the_circle() -> None:
     one = torch.ones(1, 1, dtype=torch.float64)
     variance = (1e4 * one).requires_grad_()
     result, slope = augment(Gaussian(one[0], variance), one, one)
-    torch.testing.assert_close(result.mean[1:], torch.zeros(2, dtype=torch.float64))
-    torch.testing.assert_close(result.cov[1:, 1:], 0.5 * torch.eye(2, dtype=torch.float64))
+    assert_close(result.mean[1:], torch.zeros(2, dtype=torch.float64))
+    assert_close(result.cov[1:, 1:], 0.5 * torch.eye(2, dtype=torch.float64))
     (result.mean.sum() + result.cov.sum() + slope.sum()).backward()
     assert variance.grad.isfinite().all()
 
@@ -143,8 +144,8 @@ def test_no_angles_leave_the_belief_as_it_is(draws: Draws) -> None:
     belief = draws.belief(3)
     identity = torch.eye(3, dtype=torch.float64)
     result, slope = augment(belief, identity, torch.zeros(0, 3, dtype=torch.float64))
-    torch.testing.assert_close(result.mean, belief.mean)
-    torch.testing.assert_close(result.cov, belief.cov)
+    assert_close(result.mean, belief.mean)
+    assert_close(result.cov, belief.cov)
     assert torch.equal(slope, identity)
 
 
@@ -195,13 +196,13 @@ def test_angles_that_turn_together_stay_correlated_however_wide(
     m = draws.normal(2).requires_grad_()
     V = (variance * torch.tensor([[1.0, sign], [sign, 1.0]], dtype=torch.float64)).requires_grad_()
     result, slope = squash(Gaussian(m + torch.pi / 2, V), torch.ones(2, dtype=torch.float64))
-    torch.testing.assert_close(result.mean, torch.zeros(2, dtype=torch.float64))
-    torch.testing.assert_close(slope, torch.zeros(2, dtype=torch.float64))
-    torch.testing.assert_close(result.cov.diagonal(), torch.full((2,), 0.5, dtype=torch.float64))
-    torch.testing.assert_close(result.cov[0, 1], torch.cos(m[0] - sign * m[1]) / 2)
+    assert_close(result.mean, torch.zeros(2, dtype=torch.float64))
+    assert_close(slope, torch.zeros(2, dtype=torch.float64))
+    assert_close(result.cov.diagonal(), torch.full((2,), 0.5, dtype=torch.float64))
+    assert_close(result.cov[0, 1], torch.cos(m[0] - sign * m[1]) / 2)
     d_m, d_V = torch.autograd.grad(result.cov[0, 1] + result.mean.sum() + slope.sum(), (m, V))
     change = torch.sin(m[0] - sign * m[1]) / 2
-    torch.testing.assert_close(d_m, torch.stack([-change, sign * change]))
+    assert_close(d_m, torch.stack([-change, sign * change]))
     assert d_V.isfinite().all()
 
 
@@ -232,10 +233,10 @@ def test_adjoint_is_that_of_the_graph_for_every_copy(
     d_cov = symmetric(d_cov)
     ours = cosines_adjoint(belief.mean[:, None], belief.cov[:, None], d_mean, d_cov, d_slope)
     assert ours[0].shape == (3, copies, 3) and ours[1].shape == (3, copies, 3, 3)
-    torch.testing.assert_close(ours[1], ours[1].mT, rtol=1e-13, atol=1e-13)
+    assert_close(ours[1], ours[1].mT, rtol=1e-13, atol=1e-13)
     for c in range(copies):
         by_mean, by_cov = torch.autograd.grad(
             result, leaves, (d_mean[:, c], d_cov[:, c], d_slope[:, c]), retain_graph=True
         )
-        torch.testing.assert_close(ours[0][:, c], by_mean, rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(ours[1][:, c], symmetric(by_cov), rtol=1e-9, atol=1e-9)
+        assert_close(ours[0][:, c], by_mean, rtol=1e-9, atol=1e-9)
+        assert_close(ours[1][:, c], symmetric(by_cov), rtol=1e-9, atol=1e-9)

@@ -4,8 +4,12 @@ aim.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pytest
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
@@ -58,6 +62,24 @@ def make_cost(seed: int, **kwargs) -> ExpectedSaturatingCost:
         "weight": draws.cov(2, scale=1.0),
     }
     return ExpectedSaturatingCost(*parts, SPACE, **(aim | kwargs))
+
+
+def start_belief(draws: Draws, *batch: int) -> Gaussian:
+    """Beliefs of the pendulum's start."""
+    return Gaussian(0.5 * draws.normal(*batch, 2), draws.cov(*batch, 2, scale=0.02))
+
+
+def assert_gradient_is_the_difference_quotient(
+    per_step: Callable[[Gaussian], Tensor], initial: Gaussian, parameter: Tensor, direction: Tensor
+) -> None:
+    """Of the sum of a loss's steps, in that direction of a parameter."""
+    (gradient,) = torch.autograd.grad(per_step(initial).sum(), parameter)
+    step, values = 1e-4, []
+    for move in (step, -2 * step):
+        parameter.data.add_(direction, alpha=move)
+        values.append(per_step(initial).sum().item())
+    slope = (gradient * direction).sum().item()
+    assert slope == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-5)
 
 
 def start(initial: Gaussian) -> TensorDict:

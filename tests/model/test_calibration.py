@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
@@ -49,7 +50,7 @@ def test_residuals_of_a_fitted_model_are_standard_normal(draws: Draws, targets: 
     assert residuals.shape == (200, 10, 2)
     assert residuals.mean((0, 1)).abs().max() < 0.25  # 200 data leave the function itself uncertain
     spread = residuals.square().mean((0, 1)).sqrt()
-    torch.testing.assert_close(spread, torch.ones(2).double(), rtol=0.1, atol=0)
+    assert_close(spread, torch.ones(2).double(), rtol=0.1, atol=0)
 
 
 def test_residual_counts_the_uncertainty_of_the_function_and_the_noise(draws: Draws) -> None:
@@ -61,7 +62,7 @@ def test_residual_counts_the_uncertainty_of_the_function_and_the_noise(draws: Dr
     observed = model.gp.likelihood(model.gp(inputs.expand(2, 1, 3)))
     expected = (states[0, 1] - states[0, 0] - observed.mean[:, 0]) / observed.stddev[:, 0]
     residuals = standardised_residuals(model, SPACE, states, actions)[0, 0]
-    torch.testing.assert_close(residuals, expected.detach(), rtol=1e-6, atol=1e-6)
+    assert_close(residuals, expected.detach(), rtol=1e-6, atol=1e-6)
 
 
 def test_entries_of_which_nothing_is_learned_have_no_error(draws: Draws) -> None:
@@ -78,7 +79,7 @@ def test_coverage_of_standard_normal_errors_is_the_probability(draws: Draws) -> 
     observed = observed_coverage(draws.normal(100, 200, 3), probabilities)
     tolerance = 4 * math.sqrt(0.25 / 20_000)
     expected = probabilities[:, None].expand(11, 3)
-    torch.testing.assert_close(observed, expected, rtol=0, atol=tolerance)
+    assert_close(observed, expected, rtol=0, atol=tolerance)
 
 
 def test_two_standard_deviations_cover_95_per_cent_of_gaussian_rollouts(draws: Draws) -> None:

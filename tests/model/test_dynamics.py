@@ -8,6 +8,7 @@ import gpytorch
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 import torch_pmil.model.dynamics
 from tests.helpers.draws import Draws
@@ -52,7 +53,7 @@ def test_fit_recovers_a_known_function_and_its_noise(fitted: GPDynamics, draws: 
     assert ((error / variance.sqrt()).abs() < 5).all()
     expected = torch.full((2,), 0.05, dtype=torch.float64)
     noise = hyperparameters(fitted)[2].sqrt()
-    torch.testing.assert_close(noise, expected, rtol=0.5, atol=0)
+    assert_close(noise, expected, rtol=0.5, atol=0)
 
 
 def test_fit_ends_where_the_likelihood_of_gpytorch_is_flat(fitted: GPDynamics) -> None:
@@ -87,7 +88,7 @@ def test_scaling_the_targets_scales_the_variances(data: tuple[Tensor, Tensor]) -
     ten.fit(inputs, 10 * targets)
     scaled = zip((1, 100, 100), hyperparameters(one), hyperparameters(ten), strict=True)
     for factor, values, of_ten in scaled:
-        torch.testing.assert_close(of_ten, factor * values, rtol=0.02, atol=0)
+        assert_close(of_ten, factor * values, rtol=0.02, atol=0)
 
 
 def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor]) -> None:
@@ -97,7 +98,7 @@ def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor])
     one.fit(inputs, targets)
     other.fit(inputs * units, targets)
     expected = hyperparameters(one)[0] * units
-    torch.testing.assert_close(hyperparameters(other)[0], expected, rtol=0.02, atol=0)
+    assert_close(hyperparameters(other)[0], expected, rtol=0.02, atol=0)
 
 
 def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None:
@@ -120,7 +121,7 @@ def test_constant_input_does_not_break_the_fit(draws: Draws) -> None:
     with_constant.fit(inputs, targets)
     without.fit(inputs[:, :1], targets)
     expected = without.expansion.mean(inputs[:, :1])
-    torch.testing.assert_close(with_constant.expansion.mean(inputs), expected, rtol=0, atol=1e-2)
+    assert_close(with_constant.expansion.mean(inputs), expected, rtol=0, atol=1e-2)
 
 
 def test_fit_to_a_little_more_data_is_as_good_as_one_from_the_beginning(
@@ -226,8 +227,8 @@ def test_expansion_is_the_gpytorch_posterior(fitted: GPDynamics, draws: Draws) -
     fitted.gp.eval()
     posterior = fitted.gp(x.expand(2, 5, 2))
     mean, variance = fitted.expansion.predict(x)
-    torch.testing.assert_close(mean, posterior.mean.mT.detach(), rtol=1e-6, atol=1e-8)
-    torch.testing.assert_close(variance, posterior.variance.mT.detach(), rtol=1e-6, atol=1e-8)
+    assert_close(mean, posterior.mean.mT.detach(), rtol=1e-6, atol=1e-8)
+    assert_close(variance, posterior.variance.mT.detach(), rtol=1e-6, atol=1e-8)
 
 
 def test_expansion_has_no_graph(fitted: GPDynamics, draws: Draws) -> None:
@@ -328,8 +329,8 @@ def test_rule_of_the_positions_is_learned_and_comes_back_from_a_file(draws: Draw
     loaded.load_state_dict(dynamics.state_dict())
     expected = torch.tensor([[0.02, 0.07]]).double()
     for model in (dynamics, loaded):
-        torch.testing.assert_close(model.targets.rule, expected, rtol=1e-4, atol=0)
-    torch.testing.assert_close(known.rule, torch.full((1, 2), 0.05).double())
+        assert_close(model.targets.rule, expected, rtol=1e-4, atol=0)
+    assert_close(known.rule, torch.full((1, 2), 0.05).double())
 
 
 def test_model_of_all_entries_has_no_rule(fitted: GPDynamics) -> None:

@@ -8,6 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
@@ -71,9 +72,9 @@ def test_training_data_are_features_and_action_and_where_they_led(
     inputs, outputs = filled(transitions).training_data(SPACE, targets, NO_LIMITS)
     (q, dq), u = transitions["observation"].unbind(-1), transitions["action"][:, 0]
     successor = transitions["next", "observation"]
-    torch.testing.assert_close(inputs, torch.stack([dq, q.sin(), q.cos(), u], -1), rtol=0, atol=0)
+    assert_close(inputs, torch.stack([dq, q.sin(), q.cos(), u], -1), rtol=0, atol=0)
     expected = successor if targets == "successor" else successor - transitions["observation"]
-    torch.testing.assert_close(outputs, expected, rtol=0, atol=0)
+    assert_close(outputs, expected, rtol=0, atol=0)
 
 
 def test_limits_leave_out_transitions_that_start_beyond_them_only(transitions: TensorDict) -> None:
@@ -142,7 +143,7 @@ def test_known_part_of_a_model_learns_from_its_data(transitions: TensorDict) -> 
     successors[:, 0] = states[:, 0] + 0.02 * states[:, 1] + 0.07 * successors[:, 1]
     _, targets = filled(transitions).data_for(dynamics, SPACE, NO_LIMITS, explored=7)
     expected = torch.tensor([[0.02, 0.07]], dtype=torch.float64)
-    torch.testing.assert_close(dynamics.known_part(SPACE).rule, expected, rtol=0, atol=1e-5)
+    assert_close(dynamics.known_part(SPACE).rule, expected, rtol=0, atol=1e-5)
     assert torch.equal(targets, (successors - states)[:, 1:])
 
 

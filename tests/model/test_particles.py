@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.losses import HORIZON, SPACE, make_cost, make_kl, make_parts
@@ -85,8 +86,8 @@ def test_prediction_is_the_gaussian_of_the_particles(
     predicted = ParticlePrediction(50, seed=3)(state, *parts, SPACE, 4)
     particles = sample_trajectories(state, *parts, SPACE, 4, 50, torch.Generator().manual_seed(3))
     for t in range(4):
-        torch.testing.assert_close(predicted.mean[t], particles[:, t].mean(0))
-        torch.testing.assert_close(predicted.cov[t], torch.cov(particles[:, t].mT))
+        assert_close(predicted.mean[t], particles[:, t].mean(0))
+        assert_close(predicted.cov[t], torch.cov(particles[:, t].mT))
     assert torch.equal(predicted.cov, predicted.cov.mT)
 
 
@@ -198,7 +199,7 @@ def test_losses_are_computed_from_the_particles_and_by_default_from_matched_mome
     ):
         states = prediction(state, loss.actor_network, loss.dynamics, SPACE, HORIZON)
         expected = loss._costs(loss._observe(states))
-        torch.testing.assert_close(loss.per_step(state), expected, rtol=1e-10, atol=0)
+        assert_close(loss.per_step(state), expected, rtol=1e-10, atol=0)
 
 
 def test_search_on_particles_lowers_the_loss_and_repeats_itself(draws: Draws) -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 from torch.autograd.graph import saved_tensors_hooks
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
@@ -170,7 +171,7 @@ def test_prediction_without_uncertainty_is_the_mean_trajectory(
     certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
     predicted = predict_trajectory(certain, policy, dynamics, SPACE, 5, observation_noise=False)
     mean = predict_mean_trajectory(x, policy, dynamics, SPACE, 5)
-    torch.testing.assert_close(predicted.mean, mean, rtol=0, atol=1e-5)
+    assert_close(predicted.mean, mean, rtol=0, atol=1e-5)
     assert predicted.std.max() < 1e-2
 
 
@@ -182,9 +183,9 @@ def test_first_step_from_a_certain_state_is_the_posterior(
     mean, variance = dynamics.expansion.predict(torch.cat([features, policy(features)]))
     certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
     predicted = predict_trajectory(certain, policy, dynamics, SPACE, 1)[0]
-    torch.testing.assert_close(predicted.mean, x + mean)
+    assert_close(predicted.mean, x + mean)
     noisy = variance + dynamics.expansion.noise_variance
-    torch.testing.assert_close(predicted.cov, torch.diag(noisy))
+    assert_close(predicted.cov, torch.diag(noisy))
 
 
 def test_covariances_are_symmetric_and_positive_definite(
@@ -202,10 +203,10 @@ def test_batch_of_starts_is_a_loop(policy: RBFPolicy, dynamics: GPDynamics, draw
     assert together.mean.shape == means.shape == (2, 3, 4, 2)
     for index in np.ndindex(2, 3):
         alone = predict_trajectory(initial[index], policy, dynamics, SPACE, 4)
-        torch.testing.assert_close(together[index].mean, alone.mean)
-        torch.testing.assert_close(together[index].cov, alone.cov)
+        assert_close(together[index].mean, alone.mean)
+        assert_close(together[index].cov, alone.cov)
         mean = predict_mean_trajectory(initial.mean[index], policy, dynamics, SPACE, 4)
-        torch.testing.assert_close(means[index], mean)
+        assert_close(means[index], mean)
 
 
 def test_longer_horizon_begins_with_the_shorter_one(
@@ -303,7 +304,7 @@ def loop_of_means(
 
 def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor]) -> None:
     for one, other in zip(ours, expected, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10 * other.abs().max().item())
+        assert_close(one, other, rtol=1e-10, atol=1e-10 * other.abs().max().item())
 
 
 @kinds_of_targets
@@ -331,7 +332,7 @@ def test_trajectory_and_gradient_are_those_of_a_loop_of_steps(
         list(torch.autograd.grad((states.mean, states.cov), leaves, cotangent))
         for states in (predicted, loop)
     ]
-    torch.testing.assert_close(gradients[0][1], gradients[0][1].mT)
+    assert_close(gradients[0][1], gradients[0][1].mT)
     gradients[1][1] = symmetric(gradients[1][1])
     assert_all_close(*gradients)
 

@@ -8,43 +8,30 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
-from tests.helpers.integrator import damped_integrator
-from torch_pmil.control.rbf_policy import RBFPolicy
+from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.state_box import StateBox
-from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.admission import admit
-from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=4)
-SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-INITIAL = Gaussian(
-    torch.ones(1, dtype=torch.float64), torch.full((1, 1), 1e-4, dtype=torch.float64)
-)
 
-
-@pytest.fixture(scope="module")
-def dynamics() -> GPDynamics:
-    return damped_integrator()
+INITIAL = belief_at_one(1e-4)
+Searched = tuple[TrajectoryLoss, SearchResult]
 
 
 @pytest.fixture
-def searched(dynamics: GPDynamics) -> tuple[TrajectoryLoss, SearchResult]:
+def searched() -> Searched:
     """A policy that comes down from 1 m to 0.4 m, as was demonstrated."""
-    draws = Draws(seed=1)
-    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), torch.tensor([2.0]), torch.ones(1))
-    mean = torch.tensor([[0.85], [0.7], [0.55], [0.4]], dtype=torch.float64)
-    demonstrated = Gaussian(mean, torch.full((4, 1, 1), 0.01, dtype=torch.float64))
-    loss = TrajectoryKLLoss(policy, dynamics, SPACE, demonstrated, 0.05)
+    mean = torch.tensor([0.85, 0.7, 0.55, 0.4], dtype=torch.float64)
+    loss = integrator_loss(random_policy(Draws(seed=1)), mean, 0.01)
     return loss, search_policy(loss, INITIAL, SETTINGS)
 
 
-def box(low: float, threshold: float = 0.05) -> StateBox:
-    return StateBox(SPACE, {"x": (low, 50.0)}, threshold)
+def box(low: float) -> StateBox:
+    return StateBox(SPACE, {"x": (low, 50.0)}, 0.05)
 
 
 def assert_same(loss: TrajectoryLoss, parameters: dict[str, torch.Tensor]) -> None:
@@ -52,9 +39,7 @@ def assert_same(loss: TrajectoryLoss, parameters: dict[str, torch.Tensor]) -> No
         assert torch.equal(value, parameters[name])
 
 
-def test_policy_that_stays_is_admitted_as_it_is(
-    searched: tuple[TrajectoryLoss, SearchResult],
-) -> None:
+def test_policy_that_stays_is_admitted_as_it_is(searched: Searched) -> None:
     loss, result = searched
     before = copy.deepcopy(loss.actor_network.state_dict())
     admission = admit(loss, INITIAL, box(-50.0), SETTINGS, result)
@@ -64,9 +49,7 @@ def test_policy_that_stays_is_admitted_as_it_is(
     assert_same(loss, before)
 
 
-def test_refused_policy_is_searched_on_until_it_stays(
-    searched: tuple[TrajectoryLoss, SearchResult],
-) -> None:
+def test_refused_policy_is_searched_on_until_it_stays(searched: Searched) -> None:
     """At the price of the loss, which is told without the penalty."""
     loss, result = searched
     tight = box(0.5)
@@ -83,7 +66,7 @@ def test_refused_policy_is_searched_on_until_it_stays(
 
 
 def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
-    searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
+    searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As many as keep the accumulated probability below the threshold."""
     loss, result = searched
@@ -95,27 +78,22 @@ def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
     assert admission.leaving_probability == pytest.approx(0.56)
 
 
+@pytest.mark.parametrize(("low", "refused"), [(5.0, 3), (1e9, 1)])
 def test_no_step_is_left_where_even_the_first_one_leaves(
-    searched: tuple[TrajectoryLoss, SearchResult],
+    searched: Searched, low: float, refused: int
 ) -> None:
-    loss, result = searched
-    admission = admit(loss, INITIAL, box(5.0), SETTINGS, result)
-    assert (admission.refused, admission.steps) == (3, 0)
-    assert admission.leaving_probability == 1.0
-
-
-def test_policy_stays_what_it_is_where_no_penalty_is_finite(
-    searched: tuple[TrajectoryLoss, SearchResult],
-) -> None:
+    """The policy stays what it is where no penalty is finite."""
     loss, result = searched
     before = copy.deepcopy(loss.actor_network.state_dict())
-    admission = admit(loss, INITIAL, StateBox(SPACE, {"x": (1e9, 2e9)}), SETTINGS, result)
-    assert (admission.refused, admission.steps) == (1, 0)
-    assert_same(loss, before)
+    admission = admit(loss, INITIAL, StateBox(SPACE, {"x": (low, 2 * low + 50)}), SETTINGS, result)
+    assert (admission.refused, admission.steps) == (refused, 0)
+    assert admission.leaving_probability == 1.0
+    if low == 1e9:
+        assert_same(loss, before)
 
 
 def test_steps_that_cannot_be_predicted_leave(
-    searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
+    searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loss, result = searched
     monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *_, **__: result)

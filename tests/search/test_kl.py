@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from torch.distributions import MultivariateNormal, kl_divergence
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
@@ -18,10 +19,13 @@ from torch_pmil.search.kl import (
 )
 
 
-def test_kl_is_that_of_torch(draws: Draws) -> None:
+def test_kl_and_cross_entropy_are_those_of_torch(draws: Draws) -> None:
     p, q = draws.belief(3, 5, 4), draws.belief(3, 5, 4)
-    expected = kl_divergence(MultivariateNormal(p.mean, p.cov), MultivariateNormal(q.mean, q.cov))
-    torch.testing.assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
+    ours, theirs = MultivariateNormal(p.mean, p.cov), MultivariateNormal(q.mean, q.cov)
+    expected = kl_divergence(ours, theirs)
+    assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
+    expected = expected + ours.entropy()
+    assert_close(gaussian_cross_entropy(p, q), expected, rtol=1e-10, atol=1e-10)
 
 
 def test_kl_is_that_of_quadrature(draws: Draws) -> None:
@@ -30,14 +34,7 @@ def test_kl_is_that_of_quadrature(draws: Draws) -> None:
     x = p.mean + nodes[:, None] * p.std
     log_p, log_q = (MultivariateNormal(belief.mean, belief.cov).log_prob(x) for belief in (p, q))
     expected = weights @ (log_p - log_q) / (2 * torch.pi) ** 0.5
-    torch.testing.assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
-
-
-def test_cross_entropy_is_kl_and_entropy_together(draws: Draws) -> None:
-    q, p = draws.belief(3, 5, 4), draws.belief(3, 5, 4)
-    ours, theirs = MultivariateNormal(q.mean, q.cov), MultivariateNormal(p.mean, p.cov)
-    expected = kl_divergence(ours, theirs) + ours.entropy()
-    torch.testing.assert_close(gaussian_cross_entropy(q, p), expected, rtol=1e-10, atol=1e-10)
+    assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
 
 
 def test_cross_entropy_is_least_at_a_point_in_the_mean(draws: Draws) -> None:
@@ -56,30 +53,22 @@ def test_gradients_in_the_prediction_are_those_of_the_paper(draws: Draws) -> Non
     inv_cov, delta = torch.linalg.inv(q.cov), p.mean - q.mean
     eq_23 = -inv_cov @ delta
     eq_24 = inv_cov / 2 - inv_cov @ (p.cov + torch.outer(delta, delta)) @ inv_cov / 2
-    torch.testing.assert_close(d_mean, eq_23, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(symmetric(d_cov), eq_24, rtol=1e-10, atol=1e-10)
+    assert_close(d_mean, eq_23, rtol=1e-10, atol=1e-10)
+    assert_close(symmetric(d_cov), eq_24, rtol=1e-10, atol=1e-10)
 
 
-def test_kl_is_zero_for_equal_beliefs_alone(draws: Draws) -> None:
+def test_kl_is_zero_for_equal_beliefs_alone_and_not_symmetric(draws: Draws) -> None:
     p, q = draws.belief(10, 3), draws.belief(10, 3)
-    torch.testing.assert_close(
-        gaussian_kl(p, p), torch.zeros(10, dtype=torch.float64), rtol=0, atol=1e-12
-    )
+    assert (gaussian_kl(p, p).abs() <= 1e-12).all()
     assert (gaussian_kl(p, q) > 0).all()
     assert (gaussian_kl(p, Gaussian(p.mean, 1.01 * p.cov)) > 0).all()
     assert (gaussian_kl(p, Gaussian(p.mean + 0.01, p.cov)) > 0).all()
-
-
-def test_kl_is_not_symmetric(draws: Draws) -> None:
-    p, q = draws.belief(3), draws.belief(3)
-    assert not torch.isclose(gaussian_kl(p, q), gaussian_kl(q, p))
+    assert not torch.isclose(gaussian_kl(p, q), gaussian_kl(q, p)).any()
 
 
 def test_kl_does_not_change_under_an_affine_map(draws: Draws) -> None:
     p, q, matrix, offset = draws.belief(3), draws.belief(3), draws.normal(3, 3), draws.normal(3)
-    torch.testing.assert_close(
-        gaussian_kl(p.affine(matrix, offset), q.affine(matrix, offset)), gaussian_kl(p, q)
-    )
+    assert_close(gaussian_kl(p.affine(matrix, offset), q.affine(matrix, offset)), gaussian_kl(p, q))
 
 
 def test_batches_broadcast(draws: Draws) -> None:
@@ -87,18 +76,18 @@ def test_batches_broadcast(draws: Draws) -> None:
     together = gaussian_kl(p, q)
     assert together.shape == (3, 4)
     for i, j in np.ndindex(3, 4):
-        torch.testing.assert_close(together[i, j], gaussian_kl(p[j], q[i, j]))
+        assert_close(together[i, j], gaussian_kl(p[j], q[i, j]))
 
 
 def test_trajectory_kl_is_the_sum_over_time(draws: Draws) -> None:
     demonstrated, predicted = draws.belief(6, 2), draws.belief(3, 6, 2)
     expected = sum(gaussian_kl(demonstrated[t], predicted[:, t]) for t in range(6))
-    torch.testing.assert_close(trajectory_kl(demonstrated, predicted), expected)
+    assert_close(trajectory_kl(demonstrated, predicted), expected)
 
 
 def test_mean_kl_is_the_kl_at_equal_covariances(draws: Draws) -> None:
     demonstrated, mean = draws.belief(5, 3), draws.normal(5, 3)
-    torch.testing.assert_close(
+    assert_close(
         mean_kl(demonstrated, mean), gaussian_kl(demonstrated, Gaussian(mean, demonstrated.cov))
     )
 
@@ -110,33 +99,17 @@ def test_singular_covariance_is_an_error_that_names_the_element(draws: Draws) ->
         gaussian_kl(p, q)
 
 
-def test_terms_sum_to_the_kl_and_none_is_negative(draws: Draws) -> None:
+def test_terms_are_those_of_the_mean_and_the_spread_of_each_entry(draws: Draws) -> None:
+    """None is negative, and an entry's is what it adds to the KL of those before it."""
     p, q = draws.belief(5, 3, 4), draws.belief(5, 3, 4)
     terms = gaussian_kl_terms(p, q)
-    torch.testing.assert_close(
-        (terms.mean + terms.spread).sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12
-    )
+    both = terms.mean + terms.spread
+    assert_close(both.sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12)
     assert terms.mean.shape == terms.spread.shape == (5, 3, 4)
     assert (terms.mean >= 0).all() and (terms.spread >= 0).all()
-
-
-def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spread_at_equal_means(
-    draws: Draws,
-) -> None:
-    p, q = draws.belief(6, 3), draws.belief(6, 3)
-    terms = gaussian_kl_terms(p, q)
-    torch.testing.assert_close(
-        terms.mean.sum(-1), gaussian_kl(Gaussian(p.mean, q.cov), q), rtol=1e-10, atol=1e-12
-    )
-    torch.testing.assert_close(
-        terms.spread.sum(-1), gaussian_kl(Gaussian(q.mean, p.cov), q), rtol=1e-10, atol=1e-12
-    )
-
-
-def test_terms_of_an_entry_are_what_it_adds_to_the_kl_of_those_before_it(draws: Draws) -> None:
-    p, q = draws.belief(6, 4), draws.belief(6, 4)
-    terms = gaussian_kl_terms(p, q)
+    of_mean, of_spread = Gaussian(p.mean, q.cov), Gaussian(q.mean, p.cov)
+    assert_close(terms.mean.sum(-1), gaussian_kl(of_mean, q), rtol=1e-10, atol=1e-12)
+    assert_close(terms.spread.sum(-1), gaussian_kl(of_spread, q), rtol=1e-10, atol=1e-12)
     firsts = [torch.arange(j) for j in range(1, 5)]
     expected = torch.stack([gaussian_kl(p.marginal(j), q.marginal(j)) for j in firsts], -1)
-    of_first = (terms.mean + terms.spread).cumsum(-1)
-    torch.testing.assert_close(of_first, expected, rtol=1e-10, atol=1e-10)
+    assert_close(both.cumsum(-1), expected, rtol=1e-10, atol=1e-10)

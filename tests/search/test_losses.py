@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
+from torch.testing import assert_close
 from torchrl.objectives.pilco import ExponentialQuadraticCost
 
 from tests.helpers.draws import Draws
@@ -22,14 +25,17 @@ from tests.helpers.losses import (
     make_kl,
     make_parts,
     start,
+    start_belief,
 )
-from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, trajectory_kl
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings, search_policy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+WEIGHT = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
 
 
 @pytest.fixture
@@ -39,40 +45,42 @@ def loss() -> TrajectoryKLLoss:
 
 @pytest.fixture
 def initial(draws: Draws) -> Gaussian:
-    return Gaussian(0.5 * draws.normal(2), draws.cov(2, scale=0.02))
+    return start_belief(draws)
 
 
 def expert_of(loss: TrajectoryKLLoss) -> Gaussian:
     return Gaussian(loss.demonstrated_mean, loss.demonstrated_cov)
 
 
-def test_loss_is_the_kl_of_the_predicted_trajectory(
+def states_of(loss: TrajectoryLoss, initial: Gaussian) -> Gaussian:
+    return predict_trajectory(initial, loss.actor_network, loss.dynamics, SPACE, HORIZON)
+
+
+def mean_states_of(loss: TrajectoryLoss, initial: Gaussian) -> Tensor:
+    parts = loss.actor_network, loss.dynamics
+    return predict_mean_trajectory(initial.mean, *parts, SPACE, HORIZON)
+
+
+def test_loss_is_the_kl_of_the_predicted_trajectory_and_its_steps_those_of_the_marginals(
     loss: TrajectoryKLLoss, initial: Gaussian
 ) -> None:
-    expected = trajectory_kl(expert_of(loss), loss.predict(initial))
-    torch.testing.assert_close(loss(start(initial))["loss_kl"], expected, rtol=1e-12, atol=0)
-    torch.testing.assert_close(loss.per_step(initial).sum(), expected, rtol=1e-12, atol=0)
-
-
-def test_steps_are_the_kls_of_the_marginals(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    predicted, steps = loss.predict(initial), loss.per_step(initial)
-    assert steps.shape == (HORIZON,)
-    for t in range(HORIZON):
-        torch.testing.assert_close(
-            steps[t], gaussian_kl(expert_of(loss)[t], predicted[t]), rtol=1e-12, atol=0
-        )
+    expert, predicted, steps = expert_of(loss), loss.predict(initial), loss.per_step(initial)
+    expected = trajectory_kl(expert, predicted)
+    assert_close(loss(start(initial))["loss_kl"], expected, rtol=1e-12, atol=0)
+    assert_close(steps.sum(), expected, rtol=1e-12, atol=0)
+    assert_close(steps, gaussian_kl(expert, predicted), rtol=1e-12, atol=0)
 
 
 def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(
-    loss: TrajectoryKLLoss, initial: Gaussian
+    loss: TrajectoryKLLoss, cost: ExpectedSaturatingCost, initial: Gaussian
 ) -> None:
-    states = predict_trajectory(initial, loss.actor_network, loss.dynamics, SPACE, HORIZON)
-    seen, predicted = TIP.moments(states), loss.predict(initial)
-    torch.testing.assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
-    torch.testing.assert_close(
-        predicted.cov - seen.cov,
-        (NOISE_STD**2 * torch.eye(2, dtype=torch.float64)).expand(HORIZON, 2, 2),
-    )
+    """That of a cost holds no noise."""
+    seen, predicted = TIP.moments(states_of(loss, initial)), loss.predict(initial)
+    assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
+    noise = NOISE_STD**2 * torch.eye(2, dtype=torch.float64)
+    assert_close(predicted.cov - seen.cov, noise.expand(HORIZON, 2, 2))
+    seen = TIP.moments(states_of(cost, initial))
+    assert_close(cost.predict(initial).cov, seen.cov, rtol=0, atol=0)
 
 
 def test_noise_floors_the_predicted_variance(loss: TrajectoryKLLoss) -> None:
@@ -86,19 +94,15 @@ def test_shorter_horizon_is_the_beginning_of_the_whole(
     loss: TrajectoryKLLoss, initial: Gaussian, horizon: int
 ) -> None:
     for per_step in (loss.per_step, loss.mean_per_step):
-        torch.testing.assert_close(
-            per_step(initial, horizon), per_step(initial)[:horizon], rtol=1e-12, atol=0
-        )
+        beginning = per_step(initial)[:horizon]
+        assert_close(per_step(initial, horizon), beginning, rtol=1e-12, atol=0)
 
 
 def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(
     loss: TrajectoryKLLoss, initial: Gaussian
 ) -> None:
-    states = predict_mean_trajectory(
-        initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
-    )
-    as_wide = Gaussian(TIP(states), loss.demonstrated_cov)
-    torch.testing.assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
+    as_wide = Gaussian(TIP(mean_states_of(loss, initial)), loss.demonstrated_cov)
+    assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
 
 
 def test_expert_that_is_the_prediction_costs_nothing(
@@ -106,32 +110,21 @@ def test_expert_that_is_the_prediction_costs_nothing(
 ) -> None:
     predicted = loss.predict(initial).detach()
     perfect = TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, predicted, NOISE_STD)
-    torch.testing.assert_close(
-        perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9
-    )
+    assert abs(perfect(start(initial))["loss_kl"].item()) <= 1e-9
 
 
 def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: Draws) -> None:
     """Independent entries: the KL is the sum of theirs, each with its own noise."""
     parts, noise_std = make_parts(draws), torch.tensor([0.1, 0.3], dtype=torch.float64)
     demonstrated, start = draws.belief(HORIZON, 2, scale=0.05), draws.belief(2, scale=0.01)
-    loss = TrajectoryKLLoss(*parts, SPACE, demonstrated, noise_std)
+    loss, same, one = (
+        TrajectoryKLLoss(*parts, SPACE, demonstrated, std)
+        for std in (noise_std, torch.full((2,), 0.1, dtype=torch.float64), 0.1)
+    )
     predicted = TIP.moments(loss.predict_states(start))
     noisy = Gaussian(predicted.mean, predicted.cov + (noise_std**2).diag())
-    torch.testing.assert_close(loss.per_step(start), gaussian_kl(demonstrated, noisy))
-    same = TrajectoryKLLoss(*parts, SPACE, demonstrated, torch.full((2,), 0.1, dtype=torch.float64))
-    assert torch.equal(
-        same.per_step(start), TrajectoryKLLoss(*parts, SPACE, demonstrated, 0.1).per_step(start)
-    )
-
-
-def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
-    with pytest.raises(
-        ValueError, match=r"demonstrated must have the 2 entries \('x', 'y'\), got 3"
-    ):
-        TrajectoryKLLoss(
-            loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD
-        )
+    assert_close(loss.per_step(start), gaussian_kl(demonstrated, noisy))
+    assert torch.equal(same.per_step(start), one.per_step(start))
 
 
 @pytest.fixture
@@ -145,9 +138,8 @@ def weighted_cost(cost: ExpectedSaturatingCost, z: Tensor) -> Tensor:
     make_parts(again)
     target, weight = TIP(again.normal(2)), again.cov(2, scale=1.0)
     assert torch.equal(cost.target, target)
-    return 1 - torch.exp(
-        -torch.einsum("...i,ij,...j->...", z - target, weight, z - target) / (2 * WIDTH**2)
-    )
+    distance = torch.einsum("...i,ij,...j->...", z - target, weight, z - target)
+    return 1 - torch.exp(-distance / (2 * WIDTH**2))
 
 
 def test_cost_is_that_of_samples_of_the_prediction(
@@ -158,40 +150,18 @@ def test_cost_is_that_of_samples_of_the_prediction(
     assert ((samples.mean(0) - cost.per_step(initial)).abs() < 4 * standard_error).all()
 
 
-def test_cost_is_summed_over_the_horizon(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
-    assert cost.horizon == HORIZON
-    torch.testing.assert_close(
-        cost(start(initial))["loss_cost"], cost.per_step(initial).sum(), rtol=1e-14, atol=0
-    )
-
-
-def test_prediction_of_the_cost_holds_no_observation_noise(
-    cost: ExpectedSaturatingCost, initial: Gaussian
-) -> None:
-    states = predict_trajectory(initial, cost.actor_network, cost.dynamics, SPACE, HORIZON)
-    torch.testing.assert_close(cost.predict(initial).cov, TIP.moments(states).cov, rtol=0, atol=0)
-
-
 def test_mean_cost_is_that_of_the_mean_trajectory(
     cost: ExpectedSaturatingCost, initial: Gaussian
 ) -> None:
-    states = predict_mean_trajectory(
-        initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON
-    )
-    torch.testing.assert_close(
-        cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14
-    )
+    expected = weighted_cost(cost, TIP(mean_states_of(cost, initial)))
+    assert_close(cost.mean_per_step(initial), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_weight_may_turn_the_axes(draws: Draws) -> None:
     """Of three entries: the eigenvectors of two are symmetric, and could be transposed unseen."""
     rows = torch.cat([torch.tensor([[1.0, 0.0, 0.0, 0.0]]), TIP.weights])
-    space = StateSpace(
-        SPACE.names,
-        SPACE.units,
-        SPACE.angles,
-        MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows),
-    )
+    match = MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows)
+    space = replace(SPACE, match_space=match)
     weight, target, states = draws.cov(3, scale=1.0), draws.normal(3), draws.normal(5, 2)
     cost = ExpectedSaturatingCost(
         *make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none"
@@ -199,19 +169,16 @@ def test_weight_may_turn_the_axes(draws: Draws) -> None:
     certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
     delta = space.observe(states) - target
     expected = 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8)
-    torch.testing.assert_close(certain, expected, rtol=1e-12, atol=1e-15)
+    assert_close(certain, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
     """TorchRL adds 1e-5 to the eigenvalues of I + S."""
-    weight = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
-    cost = make_cost(seed=1, weight=weight)
+    cost = make_cost(seed=1, weight=WEIGHT)
     predicted = cost.predict(initial)
-    theirs = ExponentialQuadraticCost(cost.target, weight / WIDTH**2, reduction="none")
-    expected = theirs(TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}}))[
-        "loss_cost"
-    ]
-    torch.testing.assert_close(cost.per_step(initial), expected, rtol=0, atol=2e-5)
+    theirs = ExponentialQuadraticCost(cost.target, WEIGHT / WIDTH**2, reduction="none")
+    read = TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}})
+    assert_close(cost.per_step(initial), theirs(read)["loss_cost"], rtol=0, atol=2e-5)
 
 
 def test_weight_is_the_identity_unless_given(initial: Gaussian) -> None:
@@ -232,17 +199,12 @@ def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> N
 
 def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:
     """1 - |I + W S / width²|^(-1/2), whether the target is near or far."""
-    weight = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
-    near, far = (
-        make_cost(seed=0, weight=weight, target=torch.full((2,), place)) for place in (0.0, 9.0)
-    )
-    spread = weight @ near.predict(initial, 3).cov / WIDTH**2
-    expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
-    for cost in (near, far):
-        torch.testing.assert_close(
-            cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0
-        )
-    assert (expected > 1e-3).all()
+    for place in (0.0, 9.0):
+        cost = make_cost(seed=0, weight=WEIGHT, target=torch.full((2,), place))
+        spread = WEIGHT @ cost.predict(initial, 3).cov / WIDTH**2
+        expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
+        assert_close(cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0)
+        assert (expected > 1e-3).all()
 
 
 @pytest.mark.parametrize("key", ["loss_kl", "loss_cost"])
@@ -255,27 +217,34 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
     assert loss(start(initial))[key].item() == pytest.approx(result.loss, rel=1e-12)
 
 
+INDEFINITE = "weight must be symmetric and positive semi-definite"
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (
             {"target": torch.zeros(3)},
-            r"target must have shape \(2,\), the entries \('x', 'y'\), got \(3,\)",
+            "target must have shape (2,), the entries ('x', 'y'), got",
         ),
-        ({"weight": torch.eye(3)}, r"weight must have shape \(2, 2\), got \(3, 3\)"),
-        ({"weight": -torch.eye(2)}, "weight must be symmetric and positive semi-definite"),
-        (
-            {"weight": torch.tensor([[1.0, 1.0], [0.0, 1.0]])},
-            "weight must be symmetric and positive semi-definite",
-        ),
+        ({"weight": torch.eye(3)}, "weight must have shape (2, 2), got (3, 3)"),
+        ({"weight": -torch.eye(2)}, INDEFINITE),
+        ({"weight": torch.tensor([[1.0, 1.0], [0.0, 1.0]])}, INDEFINITE),
     ],
 )
 def test_cost_that_makes_no_sense_is_an_error(wrong: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         make_cost(seed=0, **wrong)
 
 
+def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
+    parts, shown = (loss.actor_network, loss.dynamics, SPACE), draws.belief(HORIZON, 3)
+    with pytest.raises(ValueError, match=r"demonstrated must have the 2 .* \('x', 'y'\), got 3"):
+        TrajectoryKLLoss(*parts, shown, NOISE_STD)
+
+
 @pytest.mark.parametrize("make", [make_kl, make_cost])
+@torch.no_grad()
 def test_both_predictions_are_those_that_the_loss_was_given(
     initial: Gaussian, make: Callable[..., TrajectoryLoss]
 ) -> None:
@@ -283,10 +252,6 @@ def test_both_predictions_are_those_that_the_loss_was_given(
         return predict_mean_trajectory(start, *rest) / 2
 
     loss, other = make(0), make(0, mean_prediction=halved)
-    with torch.no_grad():
-        states = predict_mean_trajectory(
-            initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
-        )
-        torch.testing.assert_close(other.per_step(initial), loss.per_step(initial))
-        expected = loss._mean_costs(SPACE.observe(states / 2))
-        torch.testing.assert_close(other.mean_per_step(initial), expected)
+    assert_close(other.per_step(initial), loss.per_step(initial))
+    expected = loss._mean_costs(SPACE.observe(mean_states_of(loss, initial) / 2))
+    assert_close(other.mean_per_step(initial), expected)

@@ -1,15 +1,23 @@
-"""One policy for many targets (Eq. 31): a target is an input without variance, and all targets are
-predicted in one batch.
-"""
+"""One policy for many targets (Eq. 31): inputs without variance, predicted in one batch."""
 
 from __future__ import annotations
+
+import re
 
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
-from tests.helpers.losses import HORIZON, NOISE_STD, SPACE, make_parts, start
+from tests.helpers.losses import (
+    HORIZON,
+    NOISE_STD,
+    SPACE,
+    assert_gradient_is_the_difference_quotient,
+    make_parts,
+    start,
+)
 from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.moment_matching import moment_match
@@ -22,11 +30,6 @@ from torch_pmil.search.policy_search import SearchSettings, refit_policy, search
 
 TARGETS = torch.tensor([[0.0, 0.5], [1.0, -0.5], [-1.0, 0.3]], dtype=torch.float64)
 S, K = TARGETS.shape
-
-
-@pytest.fixture
-def draws() -> Draws:
-    return Draws(seed=0)
 
 
 @pytest.fixture
@@ -43,11 +46,8 @@ def make_policy(draws: Draws, centres: int = 6) -> RBFPolicy:
 
 def make_loss(seed: int, centres: int = 6, **kwargs) -> MultiTargetKLLoss:
     draws = Draws(seed)
-    policy, dynamics, demonstrated = (
-        make_policy(draws, centres),
-        make_parts(draws)[1],
-        draws.belief(S, HORIZON, 2, scale=0.05),
-    )
+    policy, dynamics = make_policy(draws, centres), make_parts(draws)[1]
+    demonstrated = draws.belief(S, HORIZON, 2, scale=0.05)
     return MultiTargetKLLoss(policy, dynamics, SPACE, demonstrated, TARGETS, NOISE_STD, **kwargs)
 
 
@@ -62,21 +62,15 @@ def of_one_target(loss: MultiTargetKLLoss, i: int) -> TrajectoryKLLoss:
     return TrajectoryKLLoss(policy, loss.dynamics, SPACE, demonstrated, NOISE_STD)
 
 
-def test_known_inputs_are_inputs_of_these_values(draws: Draws) -> None:
-    f, x, known = draws.network(9, 5, 2), draws.normal(S, 3), TARGETS
-    of_x = f.at_known(known)
-    whole = torch.cat([x, known], -1)
-    torch.testing.assert_close(of_x.mean(x), f.mean(whole))
-
-
-def test_known_inputs_are_inputs_without_variance(draws: Draws) -> None:
+def test_known_inputs_are_inputs_of_these_values_without_variance(draws: Draws) -> None:
     f, belief = draws.network(9, 5, 2), draws.belief(S, 3)
+    of_x, mean = f.at_known(TARGETS), torch.cat([belief.mean, TARGETS], -1)
+    assert_close(of_x.mean(belief.mean), f.mean(mean))
     cov = torch.zeros(S, 5, 5, dtype=torch.float64)
     cov[:, :3, :3] = belief.cov
-    whole = moment_match(f, Gaussian(torch.cat([belief.mean, TARGETS], -1), cov))
-    of_x = moment_match(f.at_known(TARGETS), belief)
+    whole, seen = moment_match(f, Gaussian(mean, cov)), moment_match(of_x, belief)
     expected = whole.mean, whole.cov, whole.inv_cov_cross_cov[:, :3]
-    torch.testing.assert_close((of_x.mean, of_x.cov, of_x.inv_cov_cross_cov), expected)
+    assert_close((seen.mean, seen.cov, seen.inv_cov_cross_cov), expected)
 
 
 def test_gradient_of_moments_with_weights_of_each_belief(draws: Draws) -> None:
@@ -87,48 +81,32 @@ def test_gradient_of_moments_with_weights_of_each_belief(draws: Draws) -> None:
         found = moment_match(of_x, belief)
         return found.mean, found.cov, found.inv_cov_cross_cov
 
-    leaves = tuple(
-        tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales)
-    )
-    assert torch.autograd.gradcheck(moments, leaves)
+    leaves = (each.clone().requires_grad_() for each in (f.inputs, f.weights, f.lengthscales))
+    assert torch.autograd.gradcheck(moments, tuple(leaves))
 
 
 def test_loss_is_the_mean_of_the_losses_of_the_targets(initial: Gaussian) -> None:
     loss = make_loss(1)
-    single = torch.stack([of_one_target(loss, i).per_step(initial) for i in range(S)])
-    torch.testing.assert_close(loss.per_step(initial), single.mean(0))
-    torch.testing.assert_close(loss.step_loss_for_trust(initial), single.amax(0))
-    torch.testing.assert_close(loss(start(initial))["loss_kl"], single.sum(-1).mean())
-
-
-def test_mean_loss_is_the_mean_of_those_of_the_targets(initial: Gaussian) -> None:
-    loss = make_loss(1)
-    single = torch.stack([of_one_target(loss, i).mean_per_step(initial) for i in range(S)])
-    torch.testing.assert_close(loss.mean_per_step(initial), single.mean(0))
-
-
-def test_prediction_of_each_target_is_that_of_its_policy(initial: Gaussian) -> None:
-    loss = make_loss(1)
+    singles = [of_one_target(loss, i) for i in range(S)]
+    single = torch.stack([one.per_step(initial) for one in singles])
+    assert_close(loss.per_step(initial), single.mean(0))
+    assert_close(loss.step_loss_for_trust(initial), single.amax(0))
+    assert_close(loss(start(initial))["loss_kl"], single.sum(-1).mean())
+    means = torch.stack([one.mean_per_step(initial) for one in singles])
+    assert_close(loss.mean_per_step(initial), means.mean(0))
     predicted = loss.predict(initial)
-    for i in range(S):
-        single = of_one_target(loss, i).predict(initial)
-        torch.testing.assert_close((predicted.mean[i], predicted.cov[i]), (single.mean, single.cov))
+    for i, one in enumerate(singles):
+        its = one.predict(initial)
+        assert_close((predicted.mean[i], predicted.cov[i]), (its.mean, its.cov))
 
 
 @pytest.mark.parametrize("form", ["per_step", "mean_per_step"])
 @pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
 def test_gradient_is_the_difference_quotient(initial: Gaussian, form: str, name: str) -> None:
     loss = make_loss(2)
-    parameter = getattr(loss.actor_network, name)
-    direction, step = Draws(3).normal(*parameter.shape), 1e-4
-    slope = (
-        torch.autograd.grad(getattr(loss, form)(initial).sum(), parameter)[0] * direction
-    ).sum()
-    values = []
-    for shift in (step, -2 * step):
-        parameter.data += shift * direction
-        values.append(getattr(loss, form)(initial).sum())
-    torch.testing.assert_close(slope, (values[0] - values[1]) / (2 * step), rtol=1e-5, atol=1e-6)
+    parameter = loss.actor_network.get_parameter(name)
+    direction = Draws(3).normal(*parameter.shape)
+    assert_gradient_is_the_difference_quotient(getattr(loss, form), initial, parameter, direction)
 
 
 def test_batch_of_starts_is_a_loop(draws: Draws) -> None:
@@ -136,7 +114,7 @@ def test_batch_of_starts_is_a_loop(draws: Draws) -> None:
     batch = loss.per_step(starts)
     assert batch.shape == (2, 2, HORIZON)
     for index in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        torch.testing.assert_close(batch[index], loss.per_step(starts[index]))
+        assert_close(batch[index], loss.per_step(starts[index]))
 
 
 def test_rollouts_of_all_targets_cost_what_the_prediction_costs(initial: Gaussian) -> None:
@@ -144,7 +122,7 @@ def test_rollouts_of_all_targets_cost_what_the_prediction_costs(initial: Gaussia
     predicted = loss.predict_states(initial)
     rollout = start(predicted)
     costs = loss.rollout_loss(type(rollout)({"next": rollout}, rollout.batch_size))["loss_kl"]
-    torch.testing.assert_close(costs, loss(start(initial))["loss_kl"])
+    assert_close(costs, loss(start(initial))["loss_kl"])
 
 
 def test_samples_of_the_prediction_act_for_their_targets(initial: Gaussian) -> None:
@@ -166,10 +144,8 @@ def test_refitted_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) 
     features = SPACE.features(initial.sample(50, draws.generator))[:, None]
     settings = SearchSettings(first_horizon=1, trust_threshold=0.0)
     new = refit_policy(loss, initial, make_policy(draws, 80), settings, draws.generator)
-    before, after = (
-        PolicyAtTargets(policy, TARGETS).controller(features)
-        for policy in (loss.actor_network, new)
-    )
+    policies = (PolicyAtTargets(policy, TARGETS) for policy in (loss.actor_network, new))
+    before, after = (policy.controller(features) for policy in policies)
     assert before.std(1).mean() > 0.1
     assert (after - before).abs().mean() < 0.2 * before.std()
 
@@ -182,33 +158,24 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
 
 
 @pytest.mark.parametrize(
-    ("demonstrated", "targets", "inputs", "message"),
+    ("demonstrated", "inputs", "message"),
     [
-        ((HORIZON, 2), TARGETS, 5, "and demonstrated marginals of batch shape (4,)"),
-        (
-            (2, HORIZON, 2),
-            TARGETS,
-            5,
-            "got targets (3, 2) and demonstrated marginals of batch",
-        ),
-        ((S, HORIZON, 2), TARGETS, 3, "must see dq, sin q, cos q and a target of 2, got one of 3"),
+        ((HORIZON, 2), 5, "and demonstrated marginals of batch shape (4,)"),
+        ((2, HORIZON, 2), 5, "got targets (3, 2) and demonstrated marginals of batch"),
+        ((S, HORIZON, 2), 3, "must see dq, sin q, cos q and a target of 2, got one of 3"),
     ],
 )
 def test_shapes_that_do_not_fit_are_errors(
-    draws: Draws, demonstrated: tuple[int, ...], targets: Tensor, inputs: int, message: str
+    draws: Draws, demonstrated: tuple[int, ...], inputs: int, message: str
 ) -> None:
     policy = RBFPolicy(torch.zeros(4, inputs), torch.ones(1), torch.ones(inputs))
-    with pytest.raises(ValueError) as error:
-        MultiTargetKLLoss(
-            policy, GPDynamics(4, 2), SPACE, draws.belief(*demonstrated), targets, NOISE_STD
-        )
-    assert message in str(error.value)
+    parts, shown = (policy, GPDynamics(4, 2), SPACE), draws.belief(*demonstrated)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        MultiTargetKLLoss(*parts, shown, TARGETS, NOISE_STD)
 
 
-def test_policy_for_a_target_is_the_policy_told_that_target(draws: Draws) -> None:
+def test_policy_for_a_target_is_the_policy_given_that_target(draws: Draws) -> None:
     policy, features = make_policy(draws), draws.normal(7, 3)
     for target in TARGETS:
-        torch.testing.assert_close(
-            policy.for_target(target)(features),
-            policy(torch.cat([features, target.expand(7, -1)], -1)),
-        )
+        expected = policy(torch.cat([features, target.expand(7, -1)], -1))
+        assert_close(policy.for_target(target)(features), expected)

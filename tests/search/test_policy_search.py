@@ -13,11 +13,16 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
-from tests.helpers.integrator import damped_integrator
+from tests.helpers.integrator import (
+    SPACE,
+    U_MAX,
+    belief_at_one,
+    damped_integrator,
+    integrator_loss,
+    random_policy,
+)
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import (
@@ -29,43 +34,29 @@ from torch_pmil.search.policy_search import (
     search_policy,
 )
 
-HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
-SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
+HORIZON = 6
+
 SETTINGS = SearchSettings(5, 5, 5, first_horizon=2, horizon_step=2, trust_threshold=1.0)
 SHORTEST = replace(SETTINGS, mean_iterations=1, stage_iterations=1, final_iterations=1)
-INITIAL = Gaussian(
-    torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64)
-)
+INITIAL = belief_at_one(0.01)
 REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
 
 
-@pytest.fixture(scope="module")
-def dynamics() -> GPDynamics:
-    return damped_integrator()
-
-
-def make_policy(draws: Draws) -> RBFPolicy:
-    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), U_MAX, torch.ones(1))
-    policy.weights.data.copy_(0.1 * draws.normal(8, 1))
-    return policy
-
-
-def make_loss(dynamics: GPDynamics, draws: Draws, mean: Tensor) -> TrajectoryKLLoss:
+def make_loss(mean: Tensor = REACHABLE) -> TrajectoryKLLoss:
     """Demonstrated marginals of that mean (T,) and a standard deviation of 0.14."""
-    demonstrated = Gaussian(mean[:, None], torch.full((HORIZON, 1, 1), 0.02, dtype=torch.float64))
-    return TrajectoryKLLoss(make_policy(draws), dynamics, SPACE, demonstrated, noise_std=0.05)
+    return integrator_loss(random_policy(Draws(seed=0)), mean, 0.02)
 
 
 @pytest.fixture
-def loss(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+def loss() -> TrajectoryKLLoss:
     """What the demonstrated shows can be reached; the random policy does not."""
-    return make_loss(dynamics, draws, REACHABLE)
+    return make_loss()
 
 
 @pytest.fixture
-def hopeless(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+def hopeless() -> TrajectoryKLLoss:
     """From step 4 on the demonstrated is where no torque leads."""
-    return make_loss(dynamics, draws, REACHABLE + 10 * (torch.arange(HORIZON) >= 3))
+    return make_loss(REACHABLE + 10 * (torch.arange(HORIZON) >= 3))
 
 
 @dataclass(frozen=True)
@@ -82,17 +73,13 @@ def search(
 ) -> Search:
     reports: list[tuple[str, float]] = []
     result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report), random)
-    return Search(
-        result,
-        reports,
-        {name: value.clone() for name, value in loss.actor_network.state_dict().items()},
-    )
+    return Search(result, reports, copy.deepcopy(loss.actor_network.state_dict()))
 
 
 @pytest.fixture(scope="module")
-def finished(dynamics: GPDynamics) -> Search:
+def finished() -> Search:
     """The search on ``loss``."""
-    return search(make_loss(dynamics, Draws(seed=0), REACHABLE))
+    return search(make_loss())
 
 
 @pytest.fixture
@@ -146,8 +133,7 @@ def test_horizon_never_exceeds_that_of_the_expert(
 
 def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: TrajectoryKLLoss) -> None:
     once = search(found, SHORTEST)
-    assert horizons(once, "KL") == [6]
-    assert horizons(once, "mean") == []
+    assert (horizons(once, "KL"), horizons(once, "mean")) == ([6], [])
 
 
 @pytest.mark.parametrize(
@@ -178,36 +164,31 @@ def test_horizon_that_skips_matched_steps_begins_where_they_end(
 
 def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:
     result = search(hopeless).result
-    assert result.horizon == 4
-    assert not result.converged
+    assert (result.horizon, result.converged) == (4, False)
     assert result.per_step.shape == (HORIZON,)
     assert result.per_step[2:4].mean() > SETTINGS.trust_threshold
 
 
 @pytest.mark.parametrize(("threshold", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
 def test_costly_prediction_is_followed_as_far_as_it_is_sure(
-    dynamics: GPDynamics, draws: Draws, threshold: float, horizon: int
+    draws: Draws, threshold: float, horizon: int
 ) -> None:
     """The target is out of reach: every step costs more than may be doubted."""
-    cost = ExpectedSaturatingCost(
-        make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON
-    )
-    result = search(
-        cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trust_threshold=threshold)
-    ).result
+    parts, target = (random_policy(draws), damped_integrator(), SPACE), torch.tensor([5.0])
+    cost = ExpectedSaturatingCost(*parts, target, width=1.5, horizon=HORIZON)
+    settings = SearchSettings(2, 2, 1, 2, horizon_step=2, trust_threshold=threshold)
+    result = search(cost, settings).result
     assert (result.per_step > 0.5).all()
     assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
 
 
-def test_same_start_gives_the_same_search(loss: TrajectoryKLLoss, finished: Search) -> None:
+def test_same_start_gives_the_same_search_and_the_model_stays(
+    loss: TrajectoryKLLoss, finished: Search
+) -> None:
+    before = copy.deepcopy(loss.dynamics.state_dict())
     again = search(loss).result
     assert torch.equal(again.per_step, finished.result.per_step)
     assert again.evaluations == finished.result.evaluations
-
-
-def test_search_leaves_the_model_as_it_was(loss: TrajectoryKLLoss) -> None:
-    before = {name: value.clone() for name, value in loss.dynamics.state_dict().items()}
-    search(loss, SearchSettings(1, 1, 1))
     after = loss.dynamics.state_dict()
     assert all(torch.equal(value, before[name]) for name, value in after.items())
 
@@ -243,14 +224,16 @@ def test_failure_of_the_first_step_is_an_error(
         search_policy(loss, INITIAL, SETTINGS)
 
 
-def test_search_goes_on_where_the_prediction_can_be_followed(
-    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("known", "threshold"), [(3, 0.0), (3, 1.0), (4, 1.0)])
+def test_search_goes_on_as_far_as_the_prediction_can_be_followed(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, known: int, threshold: float
 ) -> None:
-    """The far part fails throughout, and is not searched."""
-    fail_beyond(loss, 3, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=0.0)).result
-    assert (result.horizon, result.converged, result.loss) == (3, False, math.inf)
-    assert result.per_step[:3].isfinite().all()
+    """The first three steps are matched or not trusted; beyond ``known`` the prediction fails."""
+    fail_beyond(loss, known, monkeypatch)
+    settings = SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=threshold)
+    result = search(loss, settings).result
+    assert (result.horizon, result.converged, result.loss) == (known, threshold > 0, math.inf)
+    assert result.per_step[:known].isfinite().all()
 
 
 @pytest.mark.parametrize(
@@ -277,11 +260,9 @@ def test_failures_within_a_run_are_survived_and_counted(
 def refitted(
     loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS
 ) -> tuple[Tensor, Tensor, RBFPolicy]:
-    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as
-    it was drawn.
-    """
+    """Actions before and after along the old policy's mean, x_0 first, and the policy drawn."""
     draws = Draws(seed=5)
-    drawn, policy = make_policy(draws), loss.actor_network
+    drawn, policy = random_policy(draws), loss.actor_network
     old = copy.deepcopy(policy.state_dict())
     mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
     features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
@@ -300,6 +281,7 @@ def test_refitted_policy_acts_nearly_as_the_old_one_along_the_prediction(
     assert apart < 0.05 * U_MAX
     features = SPACE.features(INITIAL.mean)
     assert (drawn(features) - before[0]).abs() > 4 * apart
+    assert torch.equal(refitted(found)[1], after), "with the same seed"
 
 
 @pytest.mark.parametrize(
@@ -312,38 +294,21 @@ def test_policy_is_refitted_at_the_start_and_where_the_prediction_is_trusted(
     other = copy.deepcopy(found)
     other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
     settings = SearchSettings(first_horizon=1, trust_threshold=threshold)
-    one, two = (
-        refit_policy(
-            loss, INITIAL, make_policy(Draws(seed=5)), settings, Draws(seed=6).generator
-        ).weights
-        for loss in (found, other)
-    )
-    assert torch.equal(one, two) == same
 
+    def weights(loss: TrajectoryKLLoss) -> Tensor:
+        new, generator = random_policy(Draws(seed=5)), Draws(seed=6).generator
+        return refit_policy(loss, INITIAL, new, settings, generator).weights
 
-def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
-    losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
-    (_, one, _), (_, other, _) = (refitted(loss) for loss in losses)
-    assert torch.equal(one, other)
-
-
-@pytest.mark.parametrize("known", [3, 4])
-def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
-    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, known: int
-) -> None:
-    """The first three steps are matched, and beyond step ``known`` the prediction fails."""
-    fail_beyond(loss, known, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=1.0)).result
-    assert (result.horizon, result.loss) == (known, math.inf)
+    assert torch.equal(weights(found), weights(other)) == same
 
 
 def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(
     loss: TrajectoryKLLoss,
 ) -> None:
+    before = loss.per_step(INITIAL).sum().item()
     found = search(loss, replace(SETTINGS, mean_iterations=0))
     assert horizons(found, "mean") == []
     assert horizons(found, "KL")[:2] == [2, 4]
-    before = make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
     assert found.result.loss < 0.5 * before
 
 
@@ -360,21 +325,13 @@ def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_foll
     assert (after - before)[:3].abs().max() < 0.05 * U_MAX
 
 
-def losses_at(found: Search, horizon: int) -> list[float]:
-    """Of the runs on the KL up to a horizon, the last search left out."""
-    return [loss for name, loss in found.reports[:-1] if name == f"KL {horizon}/{HORIZON}"]
-
-
 def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(
     hopeless: TrajectoryKLLoss,
 ) -> None:
-    """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two
-    iterations bring a tenth.
-    """
-    found = search(
-        hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trust_threshold=1.0)
-    )
-    reached = losses_at(found, 4)
+    """On a horizon with step 4, while runs of two iterations bring a tenth."""
+    settings = SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trust_threshold=1.0)
+    found = search(hopeless, settings)
+    reached = [loss for name, loss in found.reports[:-1] if name == f"KL 4/{HORIZON}"]
     falls = [after / before for before, after in pairwise(reached)]
     assert len(falls) > 1
     assert all(fall < WORTHWHILE for fall in falls[:-1])

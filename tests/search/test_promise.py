@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 from scipy.stats import binom
 from torch import Tensor
 
-from tests.helpers.draws import Draws
-from tests.helpers.integrator import damped_integrator
+from tests.helpers.integrator import belief_at_one, damped_integrator, integrator_loss
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import CONFIDENCE, SAMPLES, PredictedSuccess, Promise
 
 HORIZON = 6
-SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.04).double())
+
+INITIAL = belief_at_one(0.04)
+
+
+def resting_loss(dynamics: GPDynamics | None = None) -> TrajectoryKLLoss:
+    """A policy that does nothing, so that the damped integrator moves as a linear system does."""
+    policy = RBFPolicy(torch.zeros(2, 1), torch.ones(1), torch.ones(1))
+    policy.weights.data.zero_()
+    return integrator_loss(policy, torch.zeros(HORIZON).double(), 1.0, dynamics)
 
 
 @pytest.fixture(scope="module")
 def loss() -> TrajectoryKLLoss:
-    """A policy that does nothing, so that the damped integrator moves as a linear system does."""
-    policy = RBFPolicy(torch.zeros(2, 1), torch.ones(1), torch.ones(1))
-    policy.weights.data.zero_()
-    demonstrated = Gaussian(torch.zeros(HORIZON, 1), torch.ones(HORIZON, 1, 1))
-    return TrajectoryKLLoss(policy, damped_integrator(), SPACE, demonstrated, noise_std=0.05)
+    return resting_loss()
 
 
 @pytest.mark.parametrize("reach", [0.5, 1.0, 2.0], ids=lambda reach: f"{reach} std")
@@ -91,16 +94,13 @@ def test_rate_that_cannot_be_promised_is_an_error(rate: object) -> None:
         Promise(rate, lambda states: states, 0.1)
 
 
-def test_more_data_where_the_robot_goes_raise_the_predicted_rate(draws: Draws) -> None:
+def test_more_data_where_the_robot_goes_raise_the_predicted_rate() -> None:
     """What the model does not know counts as failures."""
-    policy = RBFPolicy(torch.zeros(2, 1), torch.ones(1), torch.ones(1))
-    demonstrated = Gaussian(torch.zeros(HORIZON, 1), torch.ones(HORIZON, 1, 1))
     rates = []
     for data in (3, 30):
-        dynamics = damped_integrator()
-        inputs, targets = dynamics.train_inputs[:data], dynamics.train_targets[:data]
-        dynamics.set_data(inputs, targets)
-        loss = TrajectoryKLLoss(policy, dynamics, SPACE, demonstrated, noise_std=0.05)
+        dynamics = copy.deepcopy(damped_integrator())
+        dynamics.set_data(dynamics.train_inputs[:data], dynamics.train_targets[:data])
+        loss = resting_loss(dynamics)
         with torch.no_grad():
             mean = loss.predict_states(INITIAL)[-1].mean
         promise = Promise(0.95, lambda states, mean=mean: (states[:, -1, 0] - mean).abs(), 0.2)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from tests.helpers.losses import HORIZON, make_kl
@@ -52,7 +53,7 @@ def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
 def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: TrajectoryKLLoss) -> None:
     policy = loss.actor_network
     policy.log_widths.data += 0.3
-    torch.testing.assert_close(ReparameterisedLoss(loss).values[0], gram(policy) @ policy.weights)
+    assert_close(ReparameterisedLoss(loss).values[0], gram(policy) @ policy.weights)
 
 
 def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
@@ -66,9 +67,9 @@ def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
     of_centres, of_weights, of_widths = torch.autograd.grad(
         total(loss), [policy.centres, policy.weights, policy.log_widths]
     )
-    torch.testing.assert_close(centres, of_centres)
-    torch.testing.assert_close(widths, of_widths)
-    torch.testing.assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
+    assert_close(centres, of_centres)
+    assert_close(widths, of_widths)
+    assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
 
 
 def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:

@@ -1,11 +1,9 @@
-"""Every loss of a trajectory as a TorchRL LossModule: what TorchRL's own tests ask of a loss, and
-the mathematics of its sums.
-"""
+"""Every loss of a trajectory as TorchRL's tests ask of a LossModule, and its sums."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,11 +11,20 @@ import pytest
 import torch
 from tensordict import TensorDict, assert_close
 from torch import Tensor
+from torch.testing import assert_close as assert_tensors_close
 from torchrl.objectives import LossModule
 from torchrl.trainers import Trainer
 
 from tests.helpers.draws import Draws
-from tests.helpers.losses import HORIZON, SPACE, make_cost, make_kl, start
+from tests.helpers.losses import (
+    HORIZON,
+    SPACE,
+    assert_gradient_is_the_difference_quotient,
+    make_cost,
+    make_kl,
+    start,
+    start_belief,
+)
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model import rollout as rollout_module
 from torch_pmil.model.rollout import PredictionError, predict_trajectory
@@ -41,12 +48,12 @@ def loss(key: str) -> TrajectoryLoss:
 
 @pytest.fixture
 def initial(draws: Draws) -> Gaussian:
-    return Gaussian(0.5 * draws.normal(2), draws.cov(2, scale=0.02))
+    return start_belief(draws)
 
 
 @pytest.fixture
 def batch(draws: Draws) -> Gaussian:
-    return Gaussian(0.5 * draws.normal(BATCH, 2), draws.cov(BATCH, 2, scale=0.02))
+    return start_belief(draws, BATCH)
 
 
 @pytest.fixture
@@ -90,19 +97,14 @@ def test_loss_reads_its_in_keys_and_writes_its_out_keys_alone(
     assert torch.equal(loss(more.select(*loss.in_keys))[loss.out_keys[0]], result[loss.out_keys[0]])
 
 
-@pytest.mark.parametrize("missing", [("observation", "mean"), ("observation", "var")])
+@pytest.mark.parametrize("missing", ["mean", "var"])
 def test_missing_entry_is_an_error_that_names_it(
-    loss: TrajectoryLoss, initial: Gaussian, missing: tuple[str, str]
+    loss: TrajectoryLoss, initial: Gaussian, missing: str
 ) -> None:
-    with pytest.raises(
-        KeyError,
-        match=rf"{type(loss).__name__} reads \('observation', '{missing[1]}'\), got a tensordict "
-        r"with",
-    ):
-        loss(start(initial).exclude(missing))
-    with pytest.raises(
-        KeyError, match=r"reads \('observation', 'mean'\), got a tensordict with \['observation'\]"
-    ):
+    reads = rf"{type(loss).__name__} reads \('observation', '{missing}'\), got a tensordict with"
+    with pytest.raises(KeyError, match=reads):
+        loss(start(initial).exclude(("observation", missing)))
+    with pytest.raises(KeyError, match=r"reads \('observation', 'mean'\), .* \['observation'\]"):
         loss(TensorDict({"observation": torch.zeros(2)}))
 
 
@@ -133,42 +135,34 @@ def test_loss_takes_tensors_in_place_of_a_tensordict(
     assert torch.equal(loss(batch.mean, batch.cov), expected)
     assert torch.equal(loss(observation_mean=batch.mean, observation_var=batch.cov), expected)
     assert torch.equal(loss(batch.mean, observation_var=batch.cov), expected)
+    loss.select_out_keys(key)
+    assert torch.equal(loss(batch.mean, batch.cov), expected)
     mean, var = (rollout[k] for k in loss.rollout_keys)
     expected = loss.rollout_loss(rollout)[key]
     assert torch.equal(loss.rollout_loss(mean, var), expected)
-    assert torch.equal(
-        loss.rollout_loss(next_observation_mean=mean, next_observation_var=var), expected
-    )
-
-
-def test_out_keys_can_be_selected(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
-    expected = loss(start(initial))[key]
-    loss.select_out_keys(key)
-    assert torch.equal(loss(initial.mean, initial.cov), expected)
+    named = {"next_observation_mean": mean, "next_observation_var": var}
+    assert torch.equal(loss.rollout_loss(**named), expected)
 
 
 # Reductions and masks
 
 
 def test_reductions_sum_over_time_and_average_over_trajectories(key: str, batch: Gaussian) -> None:
-    steps = MAKERS[key](seed=0).per_step(batch)
+    """The mean is the default, and a batch is a loop."""
+    loss = MAKERS[key](seed=0)
+    alone = torch.stack([loss(start(batch[i]))[key] for i in range(BATCH)])
+    assert_tensors_close(loss(start(batch))[key], alone.mean(), rtol=1e-10, atol=0)
+    steps = loss.per_step(batch)
     expected = {"none": steps, "sum": steps.sum(), "mean": steps.sum(-1).mean()}
     for reduction, value in expected.items():
-        loss = MAKERS[key](seed=0, reduction=reduction)
-        torch.testing.assert_close(loss(start(batch))[key], value, rtol=1e-14, atol=0)
-
-
-def test_mean_is_the_default(loss: TrajectoryLoss, key: str, batch: Gaussian) -> None:
-    alone = torch.stack([loss(start(batch[i]))[key] for i in range(BATCH)])
-    torch.testing.assert_close(loss(start(batch))[key], alone.mean(), rtol=1e-10, atol=0)
+        loss.reduction = reduction
+        assert_tensors_close(loss(start(batch))[key], value, rtol=1e-14, atol=0)
 
 
 def test_batch_of_any_shape_is_taken(loss: TrajectoryLoss, key: str, draws: Draws) -> None:
-    initial = Gaussian(0.5 * draws.normal(2, 3, 2), draws.cov(2, 3, 2, scale=0.02))
+    initial = start_belief(draws, 2, 3)
     flat = Gaussian(initial.mean.flatten(0, 1), initial.cov.flatten(0, 1))
-    torch.testing.assert_close(
-        loss(start(initial))[key], loss(start(flat))[key], rtol=1e-12, atol=0
-    )
+    assert_tensors_close(loss(start(initial))[key], loss(start(flat))[key], rtol=1e-12, atol=0)
     loss.reduction = "none"
     assert loss(start(initial))[key].shape == (2, 3, HORIZON)
 
@@ -179,7 +173,7 @@ def test_beliefs_of_single_precision_are_computed_in_double(
     for method, read in ((loss, start(batch)), (loss.rollout_loss, rollout.detach())):
         single = method(read.float())[key]
         assert single.dtype == torch.float64
-        torch.testing.assert_close(single, method(read)[key], rtol=1e-4, atol=0)
+        assert_tensors_close(single, method(read)[key], rtol=1e-4, atol=0)
 
 
 STEPS_MASK = torch.tensor([[True, True, False, True], [False] * HORIZON, [True] * HORIZON])
@@ -198,17 +192,16 @@ def over_steps(mask: Tensor) -> Tensor:
 @masks
 @pytest.mark.parametrize("mask_key", [("collector", "mask"), "shifted_valid", ("my", "valid")])
 def test_masked_steps_are_left_out(
-    key: str, batch: Gaussian, mask: Tensor, mask_key: str | tuple[str, str]
+    loss: TrajectoryLoss, key: str, batch: Gaussian, mask: Tensor, mask_key: str | tuple[str, str]
 ) -> None:
-    counted, steps = over_steps(mask), MAKERS[key](seed=0).per_step(batch)
+    counted, steps = over_steps(mask), loss.per_step(batch)
     total = steps[counted].sum()  # the mean is of two: the second does not count
-    expected = {"none": steps * counted, "sum": total, "mean": total / 2}
-    for reduction, value in expected.items():
-        loss = MAKERS[key](seed=0, reduction=reduction)
-        if mask_key == ("my", "valid"):
-            loss.loss_mask_key = mask_key
-        masked = start(batch).set(mask_key, mask)
-        torch.testing.assert_close(loss(masked)[key], value, rtol=1e-12, atol=0)
+    if mask_key == ("my", "valid"):
+        loss.loss_mask_key = mask_key
+    masked = start(batch).set(mask_key, mask)
+    for reduction, value in {"none": steps * counted, "sum": total, "mean": total / 2}.items():
+        loss.reduction = reduction
+        assert_tensors_close(loss(masked)[key], value, rtol=1e-12, atol=0)
 
 
 @masks
@@ -221,11 +214,10 @@ def test_what_is_masked_may_hold_anything(
     broken = copy.deepcopy(masked)
     broken["observation", "mean"][1] = float("nan")
     broken["observation", "var"][1] = -1e3 * torch.eye(2)
-    assert torch.equal(loss(broken)[key], expected)
-    for gradient, other in zip(
-        policy_gradients(loss, loss(broken)[key]), policy_gradients(loss, expected), strict=True
-    ):
-        torch.testing.assert_close(gradient, other, rtol=1e-12, atol=1e-14)
+    value = loss(broken)[key]
+    assert torch.equal(value, expected)
+    gradients, others = policy_gradients(loss, value), policy_gradients(loss, expected)
+    assert_tensors_close(gradients, others, rtol=1e-12, atol=1e-14)
 
 
 @masks
@@ -241,7 +233,7 @@ def test_what_is_masked_in_a_rollout_may_hold_anything(
     broken[var_key][~counted] = -1e3 * torch.eye(2).double()
     mean, var = broken[mean_key].requires_grad_(), broken[var_key].requires_grad_()
     value = loss.rollout_loss(broken)[key]
-    torch.testing.assert_close(value, expected, rtol=1e-12, atol=0)
+    assert_tensors_close(value, expected, rtol=1e-12, atol=0)
     for gradient in torch.autograd.grad(value, (mean, var)):
         assert gradient.isfinite().all()
         assert (gradient[~counted] == 0).all()
@@ -256,12 +248,11 @@ def test_mask_can_be_switched_off(loss: TrajectoryLoss, key: str, batch: Gaussia
     assert torch.equal(loss(masked)[key], expected)
 
 
-@pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
-def test_nothing_costs_nothing(key: str, batch: Gaussian, reduction: str) -> None:
-    value = MAKERS[key](seed=0, reduction=reduction)(
-        start(batch).set("shifted_valid", torch.zeros(BATCH, dtype=torch.bool))
-    )[key]
-    assert (value == 0).all()
+def test_nothing_costs_nothing(loss: TrajectoryLoss, key: str, batch: Gaussian) -> None:
+    masked = start(batch).set("shifted_valid", torch.zeros(BATCH, dtype=torch.bool))
+    for reduction in ("none", "mean", "sum"):
+        loss.reduction = reduction
+        assert (loss(masked)[key] == 0).all()
 
 
 # Rollouts
@@ -271,12 +262,10 @@ def test_rollout_of_the_prediction_costs_what_the_prediction_costs(
     loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict
 ) -> None:
     expected, value = loss(start(batch))[key], loss.rollout_loss(rollout)[key]
-    torch.testing.assert_close(value, expected, rtol=1e-12, atol=0)
-    for gradient, other in zip(
-        policy_gradients(loss, value), policy_gradients(loss, expected), strict=True
-    ):
-        assert (gradient != 0).all()
-        torch.testing.assert_close(gradient, other, rtol=1e-12, atol=0)
+    assert_tensors_close(value, expected, rtol=1e-12, atol=0)
+    gradients, others = policy_gradients(loss, value), policy_gradients(loss, expected)
+    assert all((gradient != 0).all() for gradient in gradients)
+    assert_tensors_close(gradients, others, rtol=1e-12, atol=0)
 
 
 def test_rollout_is_scored_whatever_its_start(
@@ -295,23 +284,17 @@ def test_rollout_is_scored_whatever_its_start(
 def test_trainer_of_torchrl_reaches_the_loss_of_rollouts(
     loss: TrajectoryLoss, key: str, rollout: TensorDict
 ) -> None:
-    trainer = SimpleNamespace(loss_module=loss)
-    assert torch.equal(
-        Trainer.compute_loss(trainer, rollout, "rollout_loss")[key], loss.rollout_loss(rollout)[key]
-    )
+    reached = Trainer.compute_loss(SimpleNamespace(loss_module=loss), rollout, "rollout_loss")
+    assert torch.equal(reached[key], loss.rollout_loss(rollout)[key])
 
 
 @pytest.mark.parametrize("steps", [1, 3])
 def test_shorter_rollout_is_scored_as_the_beginning(
-    key: str, batch: Gaussian, rollout: TensorDict, steps: int
+    loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict, steps: int
 ) -> None:
-    loss = MAKERS[key](seed=0, reduction="none")
-    torch.testing.assert_close(
-        loss.rollout_loss(rollout[:, :steps])[key],
-        loss.per_step(batch)[:, :steps],
-        rtol=1e-12,
-        atol=0,
-    )
+    loss.reduction = "none"
+    scored, beginning = loss.rollout_loss(rollout[:, :steps])[key], loss.per_step(batch)[:, :steps]
+    assert_tensors_close(scored, beginning, rtol=1e-12, atol=0)
 
 
 def test_gradient_flows_into_a_rollout(loss: TrajectoryLoss, key: str, rollout: TensorDict) -> None:
@@ -330,11 +313,8 @@ def test_gradient_flows_into_a_rollout(loss: TrajectoryLoss, key: str, rollout: 
 def test_rollout_of_another_length_is_an_error(
     loss: TrajectoryLoss, draws: Draws, shape: tuple[int, ...]
 ) -> None:
-    with pytest.raises(
-        ValueError,
-        match=rf"a trajectory must have shape \(\*batch, t, D\) with t up to {HORIZON}, got "
-        rf"\({shape[0]},",
-    ):
+    said = f"a trajectory must have shape (*batch, t, D) with t up to {HORIZON}, got ({shape[0]},"
+    with pytest.raises(ValueError, match=re.escape(said)):
         loss.rollout_loss(rollout_of(draws.belief(*shape)))
 
 
@@ -345,25 +325,17 @@ def test_real_rollout_is_an_error(loss: TrajectoryLoss) -> None:
 
 
 def test_failed_prediction_is_an_error_that_names_its_step(
-    loss: TrajectoryLoss, initial: Gaussian
+    loss: TrajectoryLoss, initial: Gaussian, rollout: TensorDict
 ) -> None:
+    """And so is the degenerate belief of a rollout."""
     negative = Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64))
-    with pytest.raises(
-        PredictionError, match=rf"prediction of step 1 of {HORIZON} failed"
-    ) as error:
+    with pytest.raises(PredictionError, match=f"prediction of step 1 of {HORIZON} fail") as error:
         loss(start(negative))
     assert error.value.step == 1
-
-
-def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(
-    loss: TrajectoryLoss, rollout: TensorDict
-) -> None:
     degenerate = rollout.detach().clone()
     degenerate["next", "observation", "var"][1, 2, 0, 0] = -3.0
-    with pytest.raises(
-        PredictionError,
-        match=rf"comparison of step 3 of {HORIZON} failed: .* batch element \(1, 2\)",
-    ) as error:
+    said = rf"comparison of step 3 of {HORIZON} failed: .* batch element \(1, 2\)"
+    with pytest.raises(PredictionError, match=said) as error:
         loss.rollout_loss(degenerate)
     assert error.value.step == 3
 
@@ -372,35 +344,31 @@ def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(
 
 
 def test_penalty_is_added_to_each_step_within_its_context_alone(
-    key: str, initial: Gaussian
+    loss: TrajectoryLoss, initial: Gaussian
 ) -> None:
-    loss = MAKERS[key](seed=0)
     plain, predicted = loss.per_step(initial), loss.predict_states(initial)
     with loss.penalised(lambda states: states.mean[..., 0] ** 2):
         penalised = loss.per_step(initial)
-    torch.testing.assert_close(penalised - plain, predicted.mean[:, 0] ** 2)
+    assert_tensors_close(penalised - plain, predicted.mean[:, 0] ** 2)
     assert torch.equal(loss.per_step(initial), plain)
     assert (penalised - plain).detach().min() > 0
 
 
 def test_predictions_under_a_penalty_stay_compiled(
-    key: str, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
+    loss: TrajectoryLoss, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its gradient is that of the formulas in PyTorch, and those are not used."""
 
     def gradients() -> tuple[Tensor, ...]:
-        loss = MAKERS[key](seed=0)
         with loss.penalised(lambda states: states.mean[..., 0] ** 2 + states.cov[..., 1, 1]):
             return policy_gradients(loss, loss.per_step(initial).sum())
 
     with monkeypatch.context() as patch:
         patch.setattr(rollout_module, "_trajectory", None)
         compiled = gradients()
-    with monkeypatch.context() as patch:
-        patch.setattr(rollout_module, "serves", lambda *tensors: False)
-        patch.setattr(loss_module, "serves", lambda *tensors: False)
-        reference = gradients()
-    torch.testing.assert_close(compiled, reference)
+    for module in (rollout_module, loss_module):
+        monkeypatch.setattr(module, "serves", lambda *tensors: False)
+    assert_tensors_close(compiled, gradients())
 
 
 @pytest.mark.parametrize("objective", ["per_step", "mean_per_step"])
@@ -409,14 +377,8 @@ def test_gradient_is_the_difference_quotient(
     loss: TrajectoryLoss, initial: Gaussian, draws: Draws, objective: str, name: str
 ) -> None:
     parameter, per_step = loss.actor_network.get_parameter(name), getattr(loss, objective)
-    (gradient,) = torch.autograd.grad(per_step(initial).sum(), parameter)
-    direction, step, values = draws.normal(*parameter.shape), 1e-4, []
-    for move in (step, -2 * step):
-        parameter.data.add_(direction, alpha=move)
-        values.append(per_step(initial).sum().item())
-    assert (gradient * direction).sum().item() == pytest.approx(
-        (values[0] - values[1]) / (2 * step), rel=1e-5
-    )
+    direction = draws.normal(*parameter.shape)
+    assert_gradient_is_the_difference_quotient(per_step, initial, parameter, direction)
 
 
 def test_parameters_are_those_of_the_policy(loss: TrajectoryLoss) -> None:
@@ -494,15 +456,14 @@ def test_copy_is_the_same_and_independent(
     assert torch.equal(loss(start(initial))[key], expected)
 
 
-def aims(loss: TrajectoryLoss) -> Iterator[Tensor]:
-    return loss.buffers(recurse=False)
-
-
 def test_aim_goes_where_the_loss_goes(loss: TrajectoryLoss) -> None:
     """The other half of what ``to`` does; on a GPU, see test_device."""
-    assert len(list(aims(loss))) == 2
-    assert {buffer.dtype for buffer in aims(loss)} == {torch.float64}
+
+    def dtypes() -> list[torch.dtype]:
+        return [aim.dtype for aim in loss.buffers(recurse=False)]
+
+    assert dtypes() == [torch.float64] * 2
     loss.to(torch.float32)
-    assert {buffer.dtype for buffer in aims(loss)} == {torch.float32}
+    assert dtypes() == [torch.float32] * 2
     loss.to("meta")
-    assert {buffer.device.type for buffer in aims(loss)} == {"meta"}
+    assert {aim.device.type for aim in loss.buffers(recurse=False)} == {"meta"}

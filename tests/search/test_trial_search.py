@@ -11,10 +11,8 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
-from tests.helpers.integrator import damped_integrator
+from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search import trial_search
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
@@ -28,61 +26,42 @@ from torch_pmil.search.trial_search import (
     steady_policy,
 )
 
-HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
-SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-INITIAL = Gaussian(torch.ones(1).double(), torch.full((1, 1), 0.04).double())
+HORIZON = 6
+
+INITIAL = belief_at_one(0.04)
 SETTINGS = SearchSettings(20, 20, 20, first_horizon=2, horizon_step=2, trust_threshold=1.0)
 WIDE = 0.3  # m, standard deviation of what is demonstrated: as wide as no good policy need be
 SHOWN = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
 
 
-def make_policy(seed: int = 0) -> RBFPolicy:
-    draws = Draws(seed)
-    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), U_MAX, torch.ones(1))
-    policy.weights.data.copy_(0.1 * draws.normal(8, 1))
-    return policy
-
-
 @pytest.fixture
 def loss() -> TrajectoryKLLoss:
-    demonstrated = Gaussian(SHOWN[:, None], torch.full((HORIZON, 1, 1), WIDE**2).double())
-    return TrajectoryKLLoss(make_policy(), damped_integrator(), SPACE, demonstrated, noise_std=0.05)
-
-
-@pytest.fixture
-def searched(loss: TrajectoryKLLoss) -> tuple[TrajectoryKLLoss, SearchResult]:
-    return loss, search_policy(loss, INITIAL, SETTINGS)
+    return integrator_loss(random_policy(Draws(0)), SHOWN, WIDE**2)
 
 
 def distance(states: Tensor) -> Tensor:
     return (states[:, 1:, 0] - SHOWN).square().mean(-1).sqrt()
 
 
-def cross_entropy(loss: TrajectoryKLLoss) -> float:
-    with torch.no_grad():
+@torch.no_grad()
+def test_policy_that_copies_the_spread_is_narrow_when_it_is_steadied(
+    loss: TrajectoryKLLoss,
+) -> None:
+    def cross_entropy() -> float:
         return loss.cross_entropy_per_step(INITIAL).sum().item()
 
-
-def test_policy_that_copies_the_spread_is_narrow_when_it_is_steadied(
-    searched: tuple[TrajectoryKLLoss, SearchResult],
-) -> None:
-    loss, result = searched
-    with torch.no_grad():
-        before, wide = cross_entropy(loss), loss.predict_states(INITIAL).std
-        steadied = steady_policy(loss, INITIAL, SETTINGS)
-        after, narrow = cross_entropy(loss), loss.predict_states(INITIAL).std
+    result = search_policy(loss, INITIAL, SETTINGS)
+    before, wide = cross_entropy(), loss.predict_states(INITIAL).std
+    steadied = steady_policy(loss, INITIAL, SETTINGS)
+    after, narrow = cross_entropy(), loss.predict_states(INITIAL).std
     assert after < before
     assert (narrow[2:] < 0.8 * wide[2:]).all()
     assert steadied.loss > result.loss
-    with torch.no_grad():
-        assert steadied.loss == pytest.approx(loss.per_step(INITIAL).sum().item())
+    assert steadied.loss == pytest.approx(loss.per_step(INITIAL).sum().item())
 
 
-def test_steadied_policy_succeeds_more_often(
-    searched: tuple[TrajectoryKLLoss, SearchResult],
-) -> None:
-    loss, result = searched
-    promise = Promise(0.95, distance, 0.6 * WIDE)
+def test_steadied_policy_succeeds_more_often(loss: TrajectoryKLLoss) -> None:
+    result, promise = search_policy(loss, INITIAL, SETTINGS), Promise(0.95, distance, 0.6 * WIDE)
     before = promise.predicted(loss, INITIAL)
     found = search_for_success(loss, INITIAL, promise, SETTINGS, result)
     after = promise.predicted(loss, INITIAL)
@@ -132,43 +111,29 @@ def kept_by(loss: TrajectoryKLLoss) -> int:
 
 def go_on(loss: TrajectoryKLLoss, restarts: int, *rates: float) -> tuple[int, SearchResult]:
     """Number of the search whose policy was kept, and the outcome."""
-    policies = (make_policy(seed) for seed in range(restarts))
+    policies = (random_policy(Draws(seed)) for seed in range(restarts))
     promise = ScriptedPromise(*rates)
     found = search_for_success(loss, INITIAL, promise, SETTINGS, outcome(0.0), policies)
     return kept_by(loss), found
 
 
-@pytest.mark.parametrize(
-    ("restarts", "rates", "made", "kept"),
-    [
-        (2, [1.0], [], 0),
-        (2, [0.5, 0.95], ["steady"], 1),
-        (2, [0.5, 0.6, 0.6, 0.95], ["steady"] * 3, 3),
-        (0, [0.5] + [0.6] * STEADYINGS, ["steady"] * STEADYINGS, 1),
-        (0, [0.5, 0.6, 0.4], ["steady"] * 2, 1),
-        (1, [0.5, 0.4, 0.3, 0.7, 0.6], ["steady", "random", "steady", "steady"], 3),
-        (2, [0.5, 0.4, 1.0], ["steady", "random"], 2),
-        (1, [0.5, 0.4, 0.2, 0.1], ["steady", "random", "steady"], 0),
-    ],
-    ids=[
-        "enough",
-        "steadied",
-        "steadied again",
-        "often enough",
-        "no restart",
-        "better restart",
-        "at once",
-        "worse",
-    ],
-)
+SUCCESSES = {  # restarts, rates, the searches made, and the number of the one kept
+    "enough": (2, [1.0], [], 0),
+    "steadied": (2, [0.5, 0.95], ["steady"], 1),
+    "steadied again": (2, [0.5, 0.6, 0.6, 0.95], ["steady"] * 3, 3),
+    "often enough": (0, [0.5] + [0.6] * STEADYINGS, ["steady"] * STEADYINGS, 1),
+    "no restart": (0, [0.5, 0.6, 0.4], ["steady"] * 2, 1),
+    "better restart": (1, [0.5, 0.4, 0.3, 0.7, 0.6], ["steady", "random", "steady", "steady"], 3),
+    "at once": (2, [0.5, 0.4, 1.0], ["steady", "random"], 2),
+    "worse": (1, [0.5, 0.4, 0.2, 0.1], ["steady", "random", "steady"], 0),
+}
+
+
+@pytest.mark.parametrize("case", SUCCESSES)
 def test_searches_follow_until_the_aim_is_reached_and_the_best_policy_is_kept(
-    loss: TrajectoryKLLoss,
-    scripted: list[str],
-    restarts: int,
-    rates: list[float],
-    made: list[str],
-    kept: int,
+    loss: TrajectoryKLLoss, scripted: list[str], case: str
 ) -> None:
+    restarts, rates, made, kept = SUCCESSES[case]
     number, found = go_on(loss, restarts, *rates)
     assert (scripted, number, found.loss) == (made, kept, float(kept))
     assert found.evaluations == 10 * (1 + len(made))
@@ -211,7 +176,7 @@ class Searches:
         )
 
     def _random(self) -> RBFPolicy:
-        policy = make_policy()
+        policy = random_policy(Draws(0))
         policy.weights.data.fill_(-1)
         return policy
 
@@ -239,53 +204,29 @@ OPTIMIZER = torch.optim.Adam
 SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
 
 
-@pytest.mark.parametrize(
-    ("results", "restarts", "succeeded", "kept", "refitted_from", "random_at"),
-    [
-        ([(100, 2, False), (0.9 * PROGRESS * 100, 2, False)], 0, True, [1, 2], [], [1]),
-        ([(100, 2, False), (SLOW, HORIZON, True)], 0, True, [1, 2], [], [1]),
-        ([(100, 6, True), (SLOW, HORIZON, True), (1, 6, True)], 0, False, [1, 3], [2], [1]),
-        ([(100, 2, False), (SLOW, 3, False), (50, 2, False)], 0, True, [1, 3], [2], [1]),
-        ([(100, 2, False), (SLOW, 3, False), (99, 2, False)], 0, True, [1, 2], [2], [1]),
-        (
-            [(100, 2, False), *[(SLOW, 2, False)] * 2, (99, 2, False), (50, 2, False)],
-            3,
-            True,
-            [1, 5],
-            [2],
-            [1, 4, 5],
-        ),
-        (
-            [(100, 2, False), (150, 2, False), (140, 2, False), (SLOW, 2, False), (95, 2, False)],
-            0,
-            True,
-            [1, 3, 4],
-            [2, 4],
-            [1],
-        ),
-        ([(math.inf, 2, False), (50, 2, False)], 0, None, [2], [1], [1]),
-    ],
-    ids=[
-        "well below",
-        "complete",
-        "complete, but the rollout failed",
-        "the renewed policy is better",
-        "the renewed policy is worse",
-        "random policies until one brings enough",
-        "progress is from the least of all trials",
-        "a prediction that fails is no progress",
-    ],
-)
+def short(*losses: float) -> list[tuple[float, int, bool]]:
+    """Results of searches that end at the first two steps."""
+    return [(loss, 2, False) for loss in losses]
+
+
+COMPLETE = (SLOW, HORIZON, True)
+ORDERS = {  # results, restarts, succeeded, kept, refitted from, random at
+    "well below": (short(100, 0.9 * PROGRESS * 100), 0, True, [1, 2], [], [1]),
+    "complete": ([*short(100), COMPLETE], 0, True, [1, 2], [], [1]),
+    "a failed rollout": ([(100, 6, True), COMPLETE, (1, 6, True)], 0, False, [1, 3], [2], [1]),
+    "renewal is better": ([*short(100), (SLOW, 3, False), *short(50)], 0, True, [1, 3], [2], [1]),
+    "renewal is worse": ([*short(100), (SLOW, 3, False), *short(99)], 0, True, [1, 2], [2], [1]),
+    "random policies": (short(100, SLOW, SLOW, 99, 50), 3, True, [1, 5], [2], [1, 4, 5]),
+    "least of all trials": (short(100, 150, 140, SLOW, 95), 0, True, [1, 3, 4], [2, 4], [1]),
+    "a prediction that fails is no progress": (short(math.inf, 50), 0, None, [2], [1], [1]),
+}
+
+
+@pytest.mark.parametrize("case", ORDERS)
 def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
-    monkeypatch: pytest.MonkeyPatch,
-    loss: TrajectoryKLLoss,
-    results: list[tuple[float, int, bool]],
-    restarts: int,
-    succeeded: bool | None,
-    kept: list[int],
-    refitted_from: list[int],
-    random_at: list[int],
+    monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss, case: str
 ) -> None:
+    results, restarts, succeeded, kept, refitted_from, random_at = ORDERS[case]
     scripted = Searches(monkeypatch, loss, results, restarts)
     begun = []
     assert [begun.append(scripted.searches) or scripted.trial(succeeded) for _ in kept] == kept

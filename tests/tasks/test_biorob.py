@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from tests.helpers.short_run import quick_fits as shorten_fits, shortened
+from tests.helpers.short_run import shortened
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.biorob import START, biorob_model, holding_torques
@@ -23,18 +22,16 @@ from torch_pmil.tasks.task import Task
 
 STEPS = 4
 SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 def record() -> Demonstrations:
     """Three strikes, at 10 Hz."""
     generator, model = np.random.default_rng(0), biorob_model()
-    recordings = [
-        record_strike(model, Variation().of(Strike(), model, generator)) for _ in range(3)
-    ]
-    positions = np.stack(
-        [recording.states[:: round(0.1 / recording.time_step)] for recording in recordings]
-    )
-    return Demonstrations(torch.from_numpy(positions), 0.1, biorob_space().names)
+    variants = [Variation().of(Strike(), model, generator) for _ in range(3)]
+    recordings = [record_strike(model, variant) for variant in variants]
+    shown = [one.states[:: round(0.1 / one.time_step)] for one in recordings]
+    return Demonstrations(torch.from_numpy(np.stack(shown)), 0.1, biorob_space().names)
 
 
 @pytest.fixture(scope="module")
@@ -42,42 +39,31 @@ def experiment() -> Task:
     return load_experiment("biorob", record())
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick_fits() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        shorten_fits(patch)
-        yield
-
-
 def short(experiment: Task) -> Task:
     return shortened(experiment, STEPS, num_centres=80, search=SEARCH)
 
 
 def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torques(
-    experiment: Task,
+    experiment: Task, generator: torch.Generator
 ) -> None:
-    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    policy, space = experiment.make_policy(generator), experiment.space
     assert sum(parameter.numel() for parameter in policy.parameters()) == 738
     assert experiment.horizon == 18
-    space = experiment.space
     assert space.feature_names == space.names == space.match_space.names
 
 
-def test_new_policy_holds_the_start_pose(experiment: Task) -> None:
+def test_new_policy_holds_the_start_pose(experiment: Task, generator: torch.Generator) -> None:
     """Within the friction of the motors, 0.8 N·m at least: the arm stays where it is."""
-    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    policy = experiment.make_policy(generator)
     start = torch.tensor(START, dtype=torch.float64)
     assert (policy(start) - holding_torques(start[:3])).abs().max() < 0.2
     env = experiment.make_env(initial_std=torch.zeros(6), seed=0)
-    rollout = env.rollout(
-        5, StatePolicy(policy, experiment.space, env.control_period).as_tensordict_module()
-    )
-    assert (rollout["next", "observation"][:, :3] - start[:3]).abs().max() < np.deg2rad(3)
+    actor = StatePolicy(policy, experiment.space, env.control_period).as_tensordict_module()
+    reached = env.rollout(5, actor)["next", "observation"]
+    assert (reached[:, :3] - start[:3]).abs().max() < np.deg2rad(3)
 
 
-def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
-    experiment: Task,
-) -> None:
+def test_first_motion_is_six_seconds_around_the_start_within_the_limits(experiment: Task) -> None:
     trainer = make_trainer(short(experiment), 0, 1, False, lambda trial: None)
     trainer.train()
     assert trainer.trials[0].experience_s == pytest.approx(6.0)
@@ -91,19 +77,16 @@ def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
 
 
 def rollouts(distance: list[list[float]], hit: list[list[bool]]) -> TensorDict:
-    info = {
-        "racket_ball_distance": torch.tensor(distance, dtype=torch.float64)[..., None],
-        "hit": torch.tensor(hit)[..., None],
-    }
+    info = {"racket_ball_distance": torch.tensor(distance).double(), "hit": torch.tensor(hit)}
+    info = {name: value[..., None] for name, value in info.items()}
     return TensorDict({"next": {"info": info}}, (len(distance), len(distance[0])))
 
 
 def test_error_is_the_least_distance_of_a_rollout_and_zero_after_a_hit() -> None:
     """A hit may lie between two distances that are positive."""
-    missed_and_hit = rollouts(
-        [[0.4, 0.1, 0.3], [0.4, 0.02, 0.3]], [[False, False, False], [False, True, True]]
-    )
-    assert distance_from_ball(missed_and_hit).tolist() == [0.1, 0.0]
+    distances = [[0.5, 0.125, 0.25], [0.5, 0.02, 0.25]]
+    missed_and_hit = rollouts(distances, [[False, False, False], [False, True, True]])
+    assert distance_from_ball(missed_and_hit).tolist() == [0.125, 0.0]
     assert distance_from_ball(missed_and_hit[0]).shape == ()
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from torch_pmil.envs.cart_pole import POLE_LENGTH, cart_pole_model
 from torch_pmil.tasks.cart_pole import (
@@ -40,7 +41,7 @@ def test_positions_are_those_of_the_model() -> None:
     mujoco.mj_forward(model, data)
     seen = cart_pole_space().observe(torch.tensor([0.3, 0.0, -1.1, 0.0], dtype=torch.float64))
     x, _, z = data.site("tip").xpos
-    torch.testing.assert_close(seen, torch.tensor([data.body("cart").xpos[0], x, z]).double())
+    assert_close(seen, torch.tensor([data.body("cart").xpos[0], x, z]).double())
 
 
 def test_demonstrations_start_hanging_and_succeed() -> None:
@@ -48,7 +49,7 @@ def test_demonstrations_start_hanging_and_succeed() -> None:
     positions = task.demonstrations.positions
     assert (positions[:, 0, 2] < -0.9 * POLE_LENGTH).all()
     states = task.demonstrated_states.unflatten(0, positions.shape[:2])
-    torch.testing.assert_close(cart_pole_space().observe(states), positions)
+    assert_close(cart_pole_space().observe(states), positions)
     assert (distance_from_goal(states, GOAL) < SUCCESS_DISTANCE / 3).all(), "with room to spare"
     assert (states[..., 2].diff(dim=-1).abs() < math.pi / 2).all(), "no jump of a turn"
 

@@ -51,9 +51,7 @@ def test_first_motion_may_go_along_what_was_demonstrated(experiment: Task) -> No
     assert along.adjustable["explore_demonstrated"] is True
 
 
-def test_motion_along_the_demonstrations_needs_what_holds_the_robot(
-    experiment: Task,
-) -> None:
+def test_motion_along_the_demonstrations_needs_what_holds_the_robot(experiment: Task) -> None:
     for changes in ({"holding_actions": None}, {"demonstrated_states": torch.zeros(7, 4).double()}):
         with pytest.raises(ValueError, match="explore_demonstrated needs holding_actions, and"):
             replace(experiment, **changes).with_settings(explore_demonstrated=True)

@@ -7,12 +7,7 @@ import math
 import torch
 
 from torch_pmil.envs.pendubot import tip_height
-from torch_pmil.tasks.one_motor import (
-    FINAL_SAMPLES,
-    LINE,
-    depth_below_upright,
-    one_motor_space,
-)
+from torch_pmil.tasks.one_motor import FINAL_SAMPLES, LINE, depth_below_upright, one_motor_space
 from torch_pmil.tasks.registry import load_experiment
 
 

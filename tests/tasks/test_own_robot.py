@@ -60,8 +60,13 @@ def reaches(names: tuple[str, ...] = ("q",), count: int = 5) -> Demonstrations:
     return Demonstrations(shown.expand(-1, -1, len(names)), 0.1, names)
 
 
-def task(**settings: object) -> Task:
-    return own_robot(Arm(), reaches(), 0.1, state=("q", "dq"), **settings)
+def at_rest(*pose: float) -> Gaussian:
+    return Gaussian(torch.tensor([*pose, 0.0]).double(), torch.eye(2).double())
+
+
+def task(robot: EnvBase | None = None, **settings: object) -> Task:
+    given = {"demonstrations": reaches(), "control_period": 0.1, "state": ("q", "dq")} | settings
+    return own_robot(robot or Arm(), **given)
 
 
 def test_defaults_are_those_that_are_promised() -> None:
@@ -91,13 +96,12 @@ def test_what_is_said_is_kept() -> None:
 
 
 def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -> None:
-    resets = []
-    reset = Arm._reset
+    resets, reset = [], Arm._reset
     monkeypatch.setattr(Arm, "_reset", lambda arm, td: (resets.append(1), reset(arm, td))[1])
     task()
     assert len(resets) >= STARTS
     resets.clear()
-    start = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
+    start = at_rest(0.0)
     assert task(initial=start).initial is start
     assert len(resets) < 5  # one, and those of checks of the environment
 
@@ -106,40 +110,33 @@ class Physical(RobotEnv):
     """A joint of a physical robot."""
 
     physical = True
-    names = ("0",)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        return self.names
 
     def __init__(self) -> None:
         super().__init__((), 0.1, False, 0)
         self._set_specs(2, torch.tensor([-4.0]).double(), torch.tensor([2.0]).double(), {})
-        self.resets = 0
 
     def _reset(self, tensordict: object) -> object:
-        self.resets += 1
         raise AssertionError("a physical robot must not move")
 
-    def _step(self, tensordict: object) -> object:
-        raise AssertionError("a physical robot must not move")
+    _step = _reset
 
 
 def test_physical_robot_is_not_reset_and_starts_where_it_was_shown() -> None:
     robot = Physical()
-    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
-    assert not made.evaluated and made.robot(0) is robot and robot.resets == 0
+    made = task(robot)
+    assert not made.evaluated and made.robot(0) is robot
     starts = made.demonstrated_states.reshape(5, 21, 2)[:, 0]
     assert torch.equal(made.initial.mean, starts.mean(0))
     assert (made.initial.std >= 0.05 * made.demonstrated_states.abs().amax(0) - 1e-12).all()
-    start = Gaussian(torch.ones(2).double(), torch.eye(2).double())
-    assert own_robot(robot, reaches(), 0.1, state=("q", "dq"), initial=start).initial is start
+    start = at_rest(1.0)
+    assert task(robot, initial=start).initial is start
 
 
 def test_actions_named_like_entries_of_the_state_are_targets_of_them() -> None:
-    robot = Physical()
-    robot.names = ("q",)
-    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
+    class Servo(Physical):
+        action_names = ("q",)
+
+    made = task(Servo())
     states = torch.tensor([[0.3, 1.0], [-0.2, 0.0]], dtype=torch.float64)
     assert made.holding_actions is not None
     assert made.holding_actions(states).tolist() == [[0.3], [-0.2]]
@@ -147,31 +144,15 @@ def test_actions_named_like_entries_of_the_state_are_targets_of_them() -> None:
     assert task().holding_actions is None
 
 
-def test_robot_of_ones_own_that_shall_make_no_more_motions_is_not_reset() -> None:
+def test_robot_of_ones_own_that_must_make_no_more_motions_is_not_reset() -> None:
     class Still(Arm):
-        def _reset(self, tensordict: object) -> object:
-            raise AssertionError("it must not move")
+        _reset = Physical._reset
 
-    made = own_robot(Still(), reaches(), 0.1, state=("q", "dq"), evaluated=False)
-    assert made.initial.mean.abs().max() < 1
-
-
-@pytest.mark.parametrize(
-    ("state", "period", "message"),
-    [
-        (("q", "dq"), 0.2, "control_period must be that of the robot, 0.1 s, got 0.2 s"),
-        (("cos q", "sin q", "dq"), 0.1, "a physical robot must show its angles"),
-    ],
-)
-def test_physical_robot_that_does_not_fit_is_refused(
-    state: tuple[str, ...], period: float, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        own_robot(Physical(), reaches(), period, state=state)
+    assert task(Still(), evaluated=False).initial.mean.abs().max() < 1
 
 
 def test_cosine_and_sine_are_one_angle_near_where_the_robot_starts() -> None:
-    made = own_robot(Arm(circle=True), reaches(), 0.1, state=("cos q", "sin q", "dq"))
+    made = task(Arm(circle=True), state=("cos q", "sin q", "dq"))
     assert made.space.names == ("q", "dq") and made.space.angles == (0,)
     assert made.initial.mean[0].abs().item() == pytest.approx(math.pi, abs=START)
     assert made.initial.std[0] < START
@@ -199,12 +180,20 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
         ({"tolerance": -1.0}, ValueError, "tolerance must"),
         ({"nose_std": 0.1}, ValueError, "a setting of Arm must be one of .*, got nose_std$"),
         ({"control_period": 0.0}, ValueError, "control_period must be positive"),
+        ({"match": "tip"}, TypeError, "match by a site needs a MujocoRobot, got Arm"),
+        (
+            {"robot": Physical(), "control_period": 0.2},
+            *(ValueError, "control_period must be that of the robot, 0.1 s, got 0.2 s"),
+        ),
+        (
+            {"robot": Physical(), "state": ("cos q", "sin q", "dq")},
+            *(ValueError, "a physical robot must show its angles"),
+        ),
     ],
 )
 def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -> None:
-    given = {"demonstrations": reaches(), "control_period": 0.1, "state": ("q", "dq")} | change
     with pytest.raises(kind, match=message) as raised:
-        own_robot(Arm(), **given)
+        task(**change)
     assert "\n" not in str(raised.value)
 
 
@@ -212,15 +201,17 @@ def test_another_match_space_is_taken() -> None:
     ends = MatchSpace.of_links(("q",), (1.0,), ("q", "dq"), zero=math.pi, names=("x", "y"))
     q = reaches().positions[..., 0]
     shown = Demonstrations(torch.stack([-q.sin(), -q.cos()], -1), 0.1, ("x", "y"))
-    made = own_robot(Arm(), shown, 0.1, state=("q", "dq"), match=ends)
-    found = made.demonstrated_states.reshape(5, 21, 2)[..., 0]
+    found = task(demonstrations=shown, match=ends).demonstrated_states.reshape(5, 21, 2)[..., 0]
     torch.testing.assert_close(found, q, atol=1e-4, rtol=0)
 
 
-def test_robot_of_a_file_tells_its_state_and_start() -> None:
-    robot = MujocoRobot(
-        double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10, start=(3.0, 0.1), start_std=0.05
-    )
+def robot_of_a_file(**changes: object) -> MujocoRobot:
+    spec = double_pendulum_spec((0.5, 0.5))
+    return MujocoRobot(spec, ("q1", "q2"), rate=10, **changes)
+
+
+def test_robot_of_a_file_gives_its_state_and_start() -> None:
+    robot = robot_of_a_file(start=(3.0, 0.1), start_std=0.05)
     task = own_robot(robot, reaches(("q1", "q2")), 0.1)
     assert task.space.names == ("q1", "q2", "dq1", "dq2")
     assert task.space.units == ("rad", "rad", "rad/s", "rad/s")
@@ -232,10 +223,9 @@ def test_robot_of_a_file_tells_its_state_and_start() -> None:
 
 @pytest.mark.parametrize("names", [("x", "y", "z"), ("x", "y", "z", *AXES)])
 def test_site_of_a_robot_is_what_is_compared(names: tuple[str, ...]) -> None:
-    spec, start = double_pendulum_spec((0.5, 0.5)), (0.3, 0.6)
-    robot = MujocoRobot(spec, ("q1", "q2"), rate=10, start=start)
+    robot = robot_of_a_file(start=(0.3, 0.6))
     time = torch.linspace(0, 1, 21, dtype=torch.float64)
-    turned = torch.stack([start[0] + time, start[1] + 0.5 * time, 0 * time, 0 * time], -1)
+    turned = torch.stack([0.3 + time, 0.6 + 0.5 * time, 0 * time, 0 * time], -1)
     place = site_match(robot, "tip", orientation=len(names) > 3)(turned)
     shown = Demonstrations(place + 1e-3 * torch.arange(3)[:, None, None], 0.1, names)
     task = own_robot(robot, shown, 0.1, match="tip")
@@ -244,19 +234,12 @@ def test_site_of_a_robot_is_what_is_compared(names: tuple[str, ...]) -> None:
 
 
 def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
-    robot = MujocoRobot(double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10)
     with pytest.raises(ValueError, match=r"control_period must be that of the robot, 0\.1 s"):
-        own_robot(robot, reaches(("q1", "q2")), 0.05)
-
-
-def test_site_of_another_robot_is_refused() -> None:
-    with pytest.raises(TypeError, match="match by a site needs a MujocoRobot, got Arm"):
-        own_robot(Arm(), reaches(), 0.1, match="tip")
+        own_robot(robot_of_a_file(), reaches(("q1", "q2")), 0.05)
 
 
 def test_robot_may_remember() -> None:
-    plain = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"))
-    task = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"), past_actions=1)
-    assert plain.history is None and task.space.names == ("q", "dq", "0@1")
-    rollouts = task.robots(3, seed=0).rollout(task.horizon)
-    assert torch.isfinite(task.error(rollouts)).all() and task.make_dynamics().num_outputs == 2
+    made = task(past_actions=1)
+    assert task().history is None and made.space.names == ("q", "dq", "0@1")
+    rollouts = made.robots(3, seed=0).rollout(made.horizon)
+    assert torch.isfinite(made.error(rollouts)).all() and made.make_dynamics().num_outputs == 2

@@ -8,12 +8,13 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.utils import parameters_to_vector
+from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import link_positions
-from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost
 from torch_pmil.tasks.pilco import PilcoTask, double_pendulum_pilco
@@ -25,14 +26,14 @@ def pilco() -> PilcoTask:
     return load_experiment("double_pendulum_pilco")
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
+def policy_of(pilco: PilcoTask, seed: int = 0) -> RBFPolicy:
+    return pilco.make_policy(torch.Generator().manual_seed(seed))
 
 
 def make_loss(pilco: PilcoTask, draws: Draws) -> ExpectedSaturatingCost:
     dynamics = GPDynamics(8, 4)
     dynamics.set_data(draws.normal(5, 8), draws.normal(5, 4))
-    return pilco.make_loss(pilco.make_policy(generator()), dynamics)
+    return pilco.make_loss(policy_of(pilco), dynamics)
 
 
 def cost_of(loss: ExpectedSaturatingCost, state: Tensor) -> float:
@@ -42,9 +43,7 @@ def cost_of(loss: ExpectedSaturatingCost, state: Tensor) -> float:
 def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
     pilco: PilcoTask, draws: Draws
 ) -> None:
-    """c = 1 - exp(-|x - x_target|² / 8), with the two link ends 1 and 2 m below the target when
-    hanging.
-    """
+    """1 - exp(-|x - x_target|² / 8), the link ends 1 and 2 m below the target when hanging."""
     loss = make_loss(pilco, draws)
     upright = torch.zeros(4, dtype=torch.float64)
     hanging = torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
@@ -63,54 +62,43 @@ def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoTask) -
     assert others and all(name.startswith("search.") for name in others)
     assert torch.equal(pilco.actions.high, imitation.actions.high)
     assert torch.equal(pilco.initial.cov, imitation.initial.cov)
-    assert sum(p.numel() for p in pilco.make_policy(generator()).parameters()) == 812
+    assert sum(p.numel() for p in policy_of(pilco).parameters()) == 812
 
 
-def test_demonstrations_change_nothing(pilco: PilcoTask, draws: Draws) -> None:
+def test_demonstrations_change_nothing(pilco: PilcoTask) -> None:
     shipped = shipped_demonstrations("double_pendulum")
     other = double_pendulum_pilco(replace(shipped, positions=0.5 * shipped.positions))
-    start = Gaussian(pilco.initial.mean, pilco.initial.cov)
-    losses = [make_loss(task, Draws(seed=1)).per_step(start) for task in (pilco, other)]
+    losses = [make_loss(task, Draws(seed=1)).per_step(pilco.initial) for task in (pilco, other)]
     assert torch.equal(*losses)
     assert torch.equal(pilco.limits, other.limits)
 
 
 def test_model_learns_from_up_to_half_a_turn_in_a_control_step(pilco: PilcoTask) -> None:
-    """Faster, the angles at the samples are the same as those of a slower turn, perhaps the other
-    way.
-    """
+    """A faster turn shows the same angles as a slower one, perhaps the other way."""
     fastest = pilco.limits[pilco.limits.isfinite()]
-    torch.testing.assert_close(0.1 * fastest, torch.full((2,), math.pi, dtype=torch.float64))
+    assert_close(0.1 * fastest, torch.full((2,), math.pi, dtype=torch.float64))
     assert pilco.limits[list(pilco.space.angles)].isposinf().all()
 
 
-def parameters(policy: RBFPolicy) -> Tensor:
-    return torch.cat([p.detach().flatten() for p in policy.parameters()])
-
-
 def test_policies_are_random_and_seeded(pilco: PilcoTask) -> None:
-    first, again, other = (parameters(pilco.make_policy(generator(seed))) for seed in (0, 0, 1))
+    policies = [policy_of(pilco, seed) for seed in (0, 0, 1)]
+    first, again, other = (parameters_to_vector(policy.parameters()) for policy in policies)
     assert torch.equal(first, again)
     assert not torch.isclose(first[:600], other[:600]).any()
 
 
-def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: PilcoTask) -> None:
-    """Features are dq1, dq2, sin q1, sin q2, cos q1, cos q2; means to four standard errors of 100
-    centres, deviations to a fifth.
-    """
-    policy = pilco.with_settings(num_centres=400).make_policy(generator())
+def test_centres_are_spread_over_all_angles_and_the_given_velocities(pilco: PilcoTask) -> None:
+    """Of 400 centres: means to four standard errors of 100, deviations to a fifth."""
+    policy = policy_of(pilco.with_settings(num_centres=400))
     centres = (policy.centres * policy.scale).detach()
-    std = torch.tensor([3.0, 3.0, 0.5**0.5, 0.5**0.5, 0.5**0.5, 0.5**0.5], dtype=torch.float64)
+    std = torch.tensor([3.0] * 2 + [0.5**0.5] * 4, dtype=torch.float64)  # dq, sin q, cos q
     assert (centres.mean(0).abs() < 4 * std / 10).all()
-    torch.testing.assert_close(centres.std(0), std, rtol=0.2, atol=0)
-    torch.testing.assert_close(policy.scale, std, rtol=0.2, atol=0)
+    assert_close(centres.std(0), std, rtol=0.2, atol=0)
+    assert_close(policy.scale, std, rtol=0.2, atol=0)
 
 
 def test_settings_name_what_the_cost_depends_on(pilco: PilcoTask) -> None:
-    assert {
-        "target": [0.0, 0.5, 0.0, 1.0],
-        "cost_width": 2.0,
-        "velocity_std": 3.0,
-        "velocity_limit": 10 * math.pi,
-    }.items() <= pilco.settings.items()
+    velocities = {"velocity_std": 3.0, "velocity_limit": 10 * math.pi}
+    named = {"target": [0.0, 0.5, 0.0, 1.0], "cost_width": 2.0, **velocities}
+    assert named.items() <= pilco.settings.items()
     assert pilco.settings.keys() >= load_experiment("double_pendulum").settings.keys()

@@ -1,6 +1,4 @@
-"""Experiments with targets: the robots see theirs, the policy is one, and what came out is told
-target by target.
-"""
+"""Tasks with targets: the robots see theirs, the policy is one, the outcome is of each."""
 
 from __future__ import annotations
 
@@ -88,30 +86,27 @@ def test_new_policy_holds_the_arm_for_every_target() -> None:
 
 
 def test_robots_see_their_targets_one_after_the_other(experiment: TargetTask) -> None:
-    assert torch.equal(experiment.robot(0).reset()["target"], experiment.targets)
-    assert torch.equal(
-        experiment.robots(2, 0).reset()["target"], experiment.targets.repeat_interleave(2, 0)
-    )
-    assert torch.equal(experiment.first_robot(0).reset()["target"], experiment.targets[0])
-    assert torch.equal(
-        experiment.robots_at(experiment.targets[1:], 0).reset()["target"], experiment.targets[1:]
-    )
+    targets = experiment.targets
+    for robots, seen in (
+        (experiment.robot(0), targets),
+        (experiment.robots(2, 0), targets.repeat_interleave(2, 0)),
+        (experiment.first_robot(0), targets[0]),
+        (experiment.robots_at(targets[1:], 0), targets[1:]),
+    ):
+        assert torch.equal(robots.reset()["target"], seen)
 
 
 def test_balls_hang_where_the_targets_say() -> None:
     experiment = load_experiment("biorob_targets")
-    y, z = experiment.targets[1].tolist()
     env: BioRobEnv = experiment.make_env(targets=experiment.targets[1], seed=0)
-    assert env.model.body("ball").pos - BioRobEnv().model.body("ball").pos == pytest.approx(
-        [0.0, y, z]
-    )
+    moved = env.model.body("ball").pos - BioRobEnv().model.body("ball").pos
+    assert moved == pytest.approx([0.0, *experiment.targets[1].tolist()])
 
 
+@pytest.mark.usefixtures("quick")
 def test_robot_that_learns_moves_once_for_each_target() -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        trainer = make_trainer(short("biorob_targets"), 0, 1, False, lambda trial: None)
-        trainer.train()
+    trainer = make_trainer(short("biorob_targets"), 0, 1, False, lambda trial: None)
+    trainer.train()
     assert trainer.trials[0].experience_s == pytest.approx(6.0)
     assert len(trainer.experience) == 60 + S * STEPS
     assert trainer.trials[0].n_eval == S * MEASURED_STARTS
@@ -125,11 +120,8 @@ def test_trial_is_a_success_if_every_target_is(result: RunResult) -> None:
 
 def test_outcomes_are_those_of_each_target(result: RunResult) -> None:
     experiment = short()
-    assert [outcome.label for outcome in result.outcomes] == [
-        "x = 0.1, y = -0.6",
-        "x = 0.5, y = -0.6",
-        "x = 0.3, y = -0.4",
-    ]
+    labels = ["x = 0.1, y = -0.6", "x = 0.5, y = -0.6", "x = 0.3, y = -0.4"]
+    assert [outcome.label for outcome in result.outcomes] == labels
     for i, outcome in enumerate(result.outcomes):
         assert outcome.executed.shape == (MEASURED_STARTS, STEPS + 1, 4)
         assert (outcome.rollouts["target"] == experiment.targets[i]).all()
@@ -159,20 +151,16 @@ def test_saved_policy_runs_again_as_it_did(result: RunResult, folder: Path) -> N
     assert torch.equal(learned.predicted(experiment).mean[1], result.outcomes[1].predicted.mean)
 
 
+@pytest.mark.usefixtures("quick")
 def test_stopped_run_goes_on_to_the_same_end(result: RunResult, tmp_path: Path) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        train(short(), SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
-        resumed = train(
-            short(), SEED, TRIALS, tmp_path / "run", COMMAND, progress_bar=False, resume=True
-        )
+    rest = {"out": tmp_path / "run", "command": COMMAND, "progress_bar": False}
+    train(short(), SEED, 1, **rest)
+    resumed = train(short(), SEED, TRIALS, **rest, resume=True)
     for name, value in result.policy.state_dict().items():
         assert torch.equal(resumed.policy.state_dict()[name], value)
 
 
-def test_demonstrations_without_targets_or_with_others_are_refused(
-    experiment: TargetTask,
-) -> None:
+def test_demonstrations_without_targets_or_with_others_are_refused(experiment: TargetTask) -> None:
     shown, names = experiment.demonstrations, ", ".join(experiment.demonstrations.target_names)
     name = experiment.name
     without = replace(shown, targets=None, target_names=())
@@ -195,11 +183,8 @@ def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targ
 
 
 def test_one_target_is_not_enough(experiment: TargetTask) -> None:
-    _, sets = experiment.demonstrations.by_target()
-    alone = replace(
-        sets[0],
-        targets=experiment.targets[:1].expand(len(sets[0].positions), -1),
-        target_names=("y", "z"),
-    )
+    _, (first, *_) = experiment.demonstrations.by_target()
+    targets = experiment.targets[:1].expand(len(first.positions), -1)
+    alone = replace(first, targets=targets, target_names=("y", "z"))
     with pytest.raises(DemonstrationError, match="must be of two targets at least, got"):
         replace(experiment, demonstrations=alone)

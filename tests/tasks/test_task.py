@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from reproduction.learned import load_learned
-from tests.helpers.short_run import PD_MOVEMENTS, changed, quick_fits, short_experiment, shortened
+from tests.helpers.draws import Draws
+from tests.helpers.refusal import refused
+from tests.helpers.short_run import PD_MOVEMENTS, changed, short_experiment, shortened
 from torch_pmil.control.exploration import RandomActions
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.tasks.task import Task
@@ -29,8 +33,9 @@ def experiment() -> Task:
     return load_experiment("double_pendulum")
 
 
-def generator() -> torch.Generator:
-    return torch.Generator().manual_seed(0)
+def policy_of(task: Task, **changes: object) -> RBFPolicy:
+    """Drawn with the same numbers each time."""
+    return changed(task, **changes).make_policy(torch.Generator().manual_seed(0))
 
 
 def lifting(states: Tensor) -> Tensor:
@@ -48,40 +53,29 @@ def test_exploration_is_one_random_rollout_unless_it_is_said(experiment: Task) -
 def test_new_policy_holds_the_robot_at_its_starts(experiment: Task) -> None:
     """To 5 % rms of the torques, at starts that the fit did not see."""
     starts = experiment.initial.sample(500, torch.Generator().manual_seed(1))
-    policy = replace(experiment, holding_actions=lifting).make_policy(generator())
+    policy = policy_of(experiment, holding_actions=lifting)
     error = (policy(experiment.space.features(starts)) - lifting(starts)).detach()
     assert (error.square().mean(0).sqrt() < 0.05 * lifting(starts).abs().amax(0)).all()
 
 
 def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Task) -> None:
     """Far from the start, where no basis function that acts at the start reaches."""
-    plain, holding = (
-        each.make_policy(generator())
-        for each in (experiment, replace(experiment, holding_actions=lifting))
-    )
+    plain, holding = policy_of(experiment), policy_of(experiment, holding_actions=lifting)
     far = experiment.space.features(torch.tensor([0.0, 6.0, 2.0, -6.0], dtype=torch.float64))
-    torch.testing.assert_close(holding(far), plain(far), rtol=0, atol=0.02)
+    assert_close(holding(far), plain(far), rtol=0, atol=0.02)
     assert torch.equal(holding.centres, plain.centres)
 
 
 def test_widths_may_be_said_in_the_units_of_the_features(experiment: Task) -> None:
-    plain, wide = (
-        each.make_policy(generator())
-        for each in (experiment, experiment.with_settings(input_widths=WIDTHS))
-    )
+    plain, wide = policy_of(experiment), policy_of(experiment, input_widths=WIDTHS)
     assert torch.equal(wide.controller.network.lengthscales, WIDTHS.expand(2, 6))
-    torch.testing.assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
+    assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
 
 
 def test_settings_say_what_the_first_policy_and_motion_are(experiment: Task) -> None:
     noise_std = torch.tensor([0.1, 0.2, 0.3, 0.4], dtype=torch.float64)
-    other = changed(
-        experiment,
-        noise_std=noise_std,
-        input_widths=WIDTHS,
-        holding_actions=lifting,
-        exploration=PD_MOVEMENTS,
-    ).settings
+    first = {"holding_actions": lifting, "exploration": PD_MOVEMENTS}
+    other = changed(experiment, noise_std=noise_std, input_widths=WIDTHS, **first).settings
     assert other["noise_std"] == noise_std.tolist() and other["input_widths"] == WIDTHS.tolist()
     assert other["holds_start"] and not experiment.settings["holds_start"]
     assert other["exploration"]["gain"] == PD_MOVEMENTS.gain.tolist()
@@ -109,19 +103,15 @@ def test_columns_of_other_names_are_refused_with_what_mends_it(
     names: tuple[str, ...], said: str
 ) -> None:
     shown = Demonstrations(torch.zeros(2, 26, len(names)), 0.1, names)
-    with pytest.raises(DemonstrationError) as error:
-        load_experiment("double_pendulum", shown)
-    assert str(error.value).startswith(
-        f"demonstrations must be of x1, y1, x2, y2, got {', '.join(names)}{said}"
-    )
+    line = f"demonstrations must be of x1, y1, x2, y2, got {', '.join(names)}{said}"
+    assert refused(load_experiment, "double_pendulum", shown).startswith(line)
 
 
 def still(name: str, samples: int, tremor: float = 0.0) -> Task:
     """A task whose robot stays at its mean start, or within some tremors of it."""
     task = load_experiment(name)
     states = task.initial.mean.expand(3, samples, -1)
-    white = torch.randn(states.shape, dtype=torch.float64, generator=generator())
-    shown = task.space.observe(states + tremor * white)
+    shown = task.space.observe(states + tremor * Draws(0).normal(*states.shape))
     return load_experiment(name, replace(task.demonstrations, positions=shown))
 
 
@@ -132,7 +122,7 @@ def test_robot_that_stays_where_it_is_has_a_policy_of_some_width(name: str, trem
     if "gym" in name or "inverted" in name:
         pytest.importorskip("gymnasium")
     task = still(name, 20, tremor)
-    widths = task.make_policy(generator()).controller.network.lengthscales
+    widths = policy_of(task).controller.network.lengthscales
     plain, angles = list(task.space.plain), list(task.space.angles)
     std = task.initial.std
     starts = torch.cat([std[plain], std[angles], std[angles]])
@@ -156,26 +146,30 @@ def test_biorob_that_shall_stay_is_explored_by_small_movements() -> None:
     assert shipped.reach.rad2deg()[:3].tolist() == pytest.approx([24.0, 34.0, 39.0])
 
 
-def test_model_s_data_reach_the_starts_of_a_robot_that_shall_stay(experiment: Task) -> None:
-    starts = experiment.initial.sample(1000, generator())
+def test_model_s_data_reach_the_starts_of_a_robot_that_shall_stay(
+    experiment: Task, generator: torch.Generator
+) -> None:
+    starts = experiment.initial.sample(1000, generator)
     inside = (starts.abs() <= still("double_pendulum", 26).limits).all(-1)
     assert inside.double().mean() > 0.99
 
 
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - UNLIKE))
-def test_least_widths_and_limits_change_nothing_of_shipped_demonstrations(name: str) -> None:
+def test_least_widths_and_limits_change_nothing_of_shipped_demonstrations(
+    name: str, generator: torch.Generator
+) -> None:
     """They are the plain formulas, bit for bit."""
     task = load_experiment(name)
     if name != "double_pendulum_pilco":
         limits = 3 * task.demonstrated_states.abs().amax(0)
         limits[list(task.space.angles)] = torch.inf
         assert torch.equal(task.limits, limits)
-    inputs, draws = task.demonstrated_inputs, generator()
-    policy = task.policy_near(inputs, generator())
+    inputs, draws = task.demonstrated_inputs, Draws(0)
+    policy = task.policy_near(inputs, generator)
     assert torch.equal(policy.scale, task.widths(inputs.std(0)))
     count = task.method.policy.num_centres
-    chosen = torch.randint(len(inputs), (count,), generator=draws)
-    jitter = torch.randn(count, inputs.shape[1], dtype=torch.float64, generator=draws)
+    chosen = torch.randint(len(inputs), (count,), generator=draws.generator)
+    jitter = draws.normal(count, inputs.shape[1])
     centres = (inputs[chosen] + 0.1 * inputs.std(0) * jitter) / policy.scale
     assert torch.equal(policy.centres.detach(), centres)
 
@@ -188,20 +182,16 @@ def test_least_widths_are_told(experiment: Task) -> None:
 
 
 def test_two_samples_are_refused_where_they_leave_one_step_to_explore() -> None:
-    with pytest.raises(DemonstrationError) as error:
-        still("double_pendulum", 2)
-    assert str(error.value) == (
+    assert refused(still, "double_pendulum", 2) == (
         "demonstrations must have 3 samples at least, since the robot explores for as long and its "
         "model needs 2 transitions, got 2"
     )
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(("name", "samples"), [("biorob", 2), ("double_pendulum", 3)])
-def test_shortest_demonstrations_are_learned_from(
-    name: str, samples: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_shortest_demonstrations_are_learned_from(name: str, samples: int, tmp_path: Path) -> None:
     """That is, a run comes to its end."""
-    quick_fits(monkeypatch)
     task = shortened(still(name, samples, 1e-3), samples - 1)
     result = train(task, 100, 1, tmp_path, "pmil train", progress_bar=False)
     assert len(result.trials) == 1 and (tmp_path / "policy.pt").exists()
@@ -218,7 +208,7 @@ def test_velocities_alone_leave_the_positions_to_them(experiment: Task) -> None:
     after = known.successors(
         states, torch.zeros(1, 2).double(), torch.tensor([[0.4, -1.0]]).double()
     )
-    torch.testing.assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
+    assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
 
 
 def test_model_of_tied_lengthscales_is_a_setting(experiment: Task) -> None:
@@ -229,15 +219,14 @@ def test_model_of_tied_lengthscales_is_a_setting(experiment: Task) -> None:
 
 
 def test_velocities_alone_needs_velocities(experiment: Task) -> None:
-    names = ("a", "b", "c", "d")
-    space = replace(experiment.space, names=names)
+    space = replace(experiment.space, names=("a", "b", "c", "d"))
     with pytest.raises(ValueError, match="dNAME beside NAME, got a, b, c, d"):
         replace(experiment, space=space).with_settings(velocities_alone=True)
 
 
-def test_run_learns_velocities_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("quick")
+def test_run_learns_velocities_alone(tmp_path: Path) -> None:
     """The whole way, with its figures, diagnosis and files."""
-    quick_fits(monkeypatch)
     experiment = short_experiment(velocities_alone=True)
     result = train(experiment, 0, 2, tmp_path, "", progress_bar=False)
     assert result.dynamics.num_outputs == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.helpers.short_run import quick_fits, short_experiment
+from tests.helpers.short_run import short_experiment
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
@@ -24,38 +24,37 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["double_pendulum", "biorob", "double_pendulum_servo"])
-def test_task_is_the_same(name: str, kind: str) -> None:
+def test_task_is_the_same(name: str, kind: str, generator: torch.Generator) -> None:
     """Match space, starts, errors and motions of the robot do not know of the past."""
     plain = load_experiment(name)
-    task, shown = with_history(plain, **KINDS[kind]), plain.space.dim
+    task, dim = with_history(plain, **KINDS[kind]), plain.space.dim
     states = torch.cat([task.demonstrated_states, task.initial.mean[None]])
-    torch.testing.assert_close(
-        task.space.observe(states), plain.space.observe(states[:, :shown]), rtol=0, atol=1e-12
-    )
+    expected = plain.space.observe(states[:, :dim])
+    torch.testing.assert_close(task.space.observe(states), expected, rtol=0, atol=1e-12)
     hidden = kind == "positions"
     kept = [i for i, name in enumerate(plain.space.names) if not (hidden and name[:1] == "d")]
-    torch.testing.assert_close(
-        task.demonstrated_states[:, kept], plain.demonstrated_states[:, kept]
-    )
+    shown, of_plain = task.demonstrated_states[:, kept], plain.demonstrated_states[:, kept]
+    torch.testing.assert_close(shown, of_plain)
     assert torch.equal(task.initial.std[kept], plain.initial.std[kept])
     rollout = task.robot(seed=1).rollout(5)
     assert rollout["observation"].shape == (5, task.space.dim)
-    policy, dynamics = task.make_policy(torch.Generator().manual_seed(0)), task.make_dynamics()
-    assert policy.centres.shape[-1] == len(task.space.feature_names)
-    assert dynamics.num_outputs == len(kept)
-    motion = task.exploration.motion(torch.Generator().manual_seed(0))
+    assert task.make_policy(generator).centres.shape[-1] == len(task.space.feature_names)
+    assert task.make_dynamics().num_outputs == len(kept)
+    motion = task.exploration.motion(generator)
     assert motion(states_of(rollout)[0]).shape == (len(task.actions.names),)
 
 
-def test_errors_are_those_of_the_states_shown() -> None:
+def test_errors_are_those_of_the_states_shown_and_no_transition_is_left_out() -> None:
     plain = load_experiment("double_pendulum")
-    rollouts = with_history(plain, past_actions=1).robots(4, seed=1).rollout(25)
+    task = with_history(plain, past_actions=1)
+    rollouts = task.robots(4, seed=1).rollout(25)
     own = rollouts.copy()
     for key in ("observation", ("next", "observation")):
         own[key] = rollouts[key][..., :4]
-    task = with_history(plain, past_actions=1)
     assert torch.equal(task.error(rollouts), plain.error(own))
     assert task.promised is not None
+    limits = task.limits
+    assert limits[[1, 3]].isfinite().all() and (limits[4:] == torch.inf).all()
 
 
 def test_past_angles_are_plain_numbers() -> None:
@@ -63,11 +62,6 @@ def test_past_angles_are_plain_numbers() -> None:
     assert task.space.names[4:] == ("q1@1", "dq1@1", "q2@1", "dq2@1")
     assert task.space.angles == (0, 2)
     assert task.settings["least_widths"] == [1.5, 1.5, 0.35, 1.5, 0.35, 1.5, *[0.35] * 4]
-
-
-def test_past_actions_leave_no_transition_out() -> None:
-    limits = with_history(load_experiment("double_pendulum"), past_actions=1).limits
-    assert limits[[1, 3]].isfinite().all() and (limits[4:] == torch.inf).all()
 
 
 def test_positions_need_velocities_to_tell() -> None:
@@ -83,12 +77,10 @@ def test_second_history_is_refused() -> None:
         with_history(task, past_actions=1)
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("kind", KINDS)
-def test_run_learns_with_a_history(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_run_learns_with_a_history(tmp_path: Path, kind: str) -> None:
     """The whole way, with its figures, diagnosis and files."""
-    quick_fits(monkeypatch)
     experiment: Task = with_history(short_experiment(), **KINDS[kind])
     result = train(replace(experiment, name=kind), 0, 2, tmp_path, "", progress_bar=False)
     assert result.summary["settings"]["history"]["past_actions"] == KINDS[kind]["past_actions"]

@@ -10,7 +10,7 @@ import shutil
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,14 +21,7 @@ from tensordict import NonTensorData, TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from tests.helpers.hostile import Trap, members_of, write_members
-from tests.helpers.short_run import (
-    SEED,
-    TRIALS,
-    quick_fits,
-    run,
-    short_experiment,
-    stopped_run,
-)
+from tests.helpers.short_run import SEED, TRIALS, run, short_experiment, stopped_run
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.trainer.checkpoints import (
     newest_undamaged,
@@ -43,13 +36,6 @@ RNG, LOSS, POLICY = "components/0003-rng", "components/0001-loss_module", "compo
 COLLECTOR, PROGRESS = "components/0000-collector", "components/0009-trainer_module.progress"
 EXPERIENCE = "components/0005-trainer_module.experience"
 SECONDS = 5
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

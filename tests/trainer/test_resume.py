@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,6 @@ from tests.helpers.short_run import (
     SEED,
     STEPS,
     TRIALS,
-    quick_fits,
     run,
     stalling,
     stopped_run,
@@ -50,13 +49,6 @@ STOPS = (
 FEW = (STOPS[1], STOPS[6], STOPS[7], STOPS[-1])  # one of each phase that writes no file
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        yield
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that nothing stopped."""
@@ -83,6 +75,11 @@ def tensors(path: Path) -> dict[str, Tensor]:
 
 def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def checkpoints_of(folder: Path) -> list[Path]:
+    """The newest first."""
+    return saved_checkpoints(rotation_in(folder / "checkpoints"))
 
 
 def numbers(folder: Path) -> dict:
@@ -130,29 +127,25 @@ def test_killed_run_ends_as_one_that_was_not_killed(
 
 def noisy() -> Task:
     """The states that are seen and learned from have noise."""
-    noise = torch.tensor([0.02, 0.2, 0.02, 0.2], dtype=torch.float64)
-    plain = stalling()
-    return replace(
-        plain,
-        make_env=partial(plain.make_env, observation_std=noise.tolist()),
-        initial=plain.initial.add_noise(noise**2),
-    )
+    noise, plain = torch.tensor([0.02, 0.2, 0.02, 0.2], dtype=torch.float64), stalling()
+    env = partial(plain.make_env, observation_std=noise.tolist())
+    return replace(plain, make_env=env, initial=plain.initial.add_noise(noise**2))
+
+
+MAKERS: dict[str, Callable[[], Task]] = {
+    "PILCO": partial(stalling, "double_pendulum_pilco"),
+    "noisy sensors": noisy,
+    "PD movements": partial(stalling, exploration=PD_MOVEMENTS),
+}
 
 
 @pytest.mark.robot
 @pytest.mark.parametrize(
-    ("make", "phase", "count"),
-    [
-        (partial(stalling, "double_pendulum_pilco"), "search", 5),
-        (noisy, "search", 5),
-        (partial(stalling, exploration=PD_MOVEMENTS), "fit", 1),
-        (partial(stalling, exploration=PD_MOVEMENTS), "search", 5),
-    ],
-    ids=["PILCO", "noisy sensors", "PD movements, first fit", "PD movements"],
+    ("task", "phase", "count"),
+    [*((name, "search", 5) for name in MAKERS), ("PD movements", "fit", 1)],
 )
-def test_run_of_another_task_goes_on_too(
-    make: Callable[[], Task], phase: str, count: int, tmp_path: Path
-) -> None:
+def test_run_of_another_task_goes_on_too(task: str, phase: str, count: int, tmp_path: Path) -> None:
+    make = MAKERS[task]
     whole = run(tmp_path / "whole", task=make())
     explored = whole.summary["settings"]["exploration"]
     moved = 0.1 * (explored["rollouts"] * explored["steps"] + TRIALS * STEPS)
@@ -178,69 +171,54 @@ def test_run_may_be_stopped_again_and_again(whole: Path, stopped: Path) -> None:
     assert_same_end(stopped, whole)
 
 
-def test_finished_run_comes_to_the_same_end_again(whole: Path, tmp_path: Path) -> None:
-    run(tmp_path / "run")
+@pytest.mark.parametrize("trials", [0, TRIALS - 1, TRIALS])
+def test_run_that_never_began_or_had_ended_comes_to_the_same_end(
+    trials: int, whole: Path, tmp_path: Path
+) -> None:
+    if trials:
+        run(tmp_path / "run", trials=trials)
     run(tmp_path / "run", resume=True)
     assert_same_end(tmp_path / "run", whole)
 
 
-def test_finished_run_goes_on_where_more_trials_are_allowed(whole: Path, tmp_path: Path) -> None:
-    run(tmp_path / "run", trials=TRIALS - 1)
-    run(tmp_path / "run", resume=True)
-    assert_same_end(tmp_path / "run", whole)
+def with_another_byte(content: bytes) -> bytes:
+    place = content.index(b"state.json") + 200
+    return content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
 
 
-def test_resuming_where_nothing_was_saved_is_a_new_run(whole: Path, tmp_path: Path) -> None:
-    run(tmp_path / "run", resume=True)
-    assert_same_end(tmp_path / "run", whole)
+FLAWS: dict[str, Callable[[bytes], bytes]] = {
+    "cut short": lambda content: content[: len(content) // 2],
+    "one byte": with_another_byte,
+    "empty": lambda content: b"",
+    "not an archive": lambda content: b"checkpoint" * 100,
+}
+SLOW_FLAWS = [pytest.param(flaw, marks=pytest.mark.slow) for flaw in ("empty", "not an archive")]
 
 
-@pytest.mark.parametrize(
-    "flaw",
-    [
-        "cut short",
-        "one byte",
-        *(pytest.param(flaw, marks=pytest.mark.slow) for flaw in ("empty", "not an archive")),
-    ],
-)
+@pytest.mark.parametrize("flaw", ["cut short", "one byte", *SLOW_FLAWS])
 def test_damaged_newest_checkpoint_falls_back_to_the_one_before(
     flaw: str, whole: Path, stopped: Path
 ) -> None:
-    newest = saved_checkpoints(rotation_in(stopped / "checkpoints"))[0]
-    content = bytearray(newest.read_bytes())
-    place = content.index(b"state.json") + 200
-    content[place] ^= 1
-    newest.write_bytes(
-        {
-            "cut short": content[: len(content) // 2],
-            "one byte": content,
-            "empty": b"",
-            "not an archive": b"checkpoint" * 100,
-        }[flaw]
-    )
-    with pytest.warns(
-        RuntimeWarning, match=f"{newest.name} is damaged .*: the one before it is taken"
-    ):
+    newest = checkpoints_of(stopped)[0]
+    newest.write_bytes(FLAWS[flaw](newest.read_bytes()))
+    with pytest.warns(RuntimeWarning, match=f"{newest.name} is damaged .*: the one before it is t"):
         run(stopped, resume=True)
     assert_same_end(stopped, whole)
 
 
 def test_all_checkpoints_damaged_is_said(stopped: Path) -> None:
-    for path in saved_checkpoints(rotation_in(stopped / "checkpoints")):
+    for path in checkpoints_of(stopped):
         path.write_bytes(b"")
-    with (
-        pytest.warns(RuntimeWarning),
-        pytest.raises(RuntimeError, match=r"all checkpoints in .* are damaged"),
-    ):
+    said = r"all checkpoints in .* are damaged"
+    with pytest.warns(RuntimeWarning), pytest.raises(RuntimeError, match=said):
         run(stopped, resume=True)
 
 
 def test_stopped_run_is_not_overwritten(stopped: Path) -> None:
-    with pytest.raises(
-        UnfinishedRunError, match=f"{stopped} holds a run that was stopped: go on with resume=true"
-    ):
+    said = f"{stopped} holds a run that was stopped: go on with resume=true"
+    with pytest.raises(UnfinishedRunError, match=said):
         run(stopped)
-    assert saved_checkpoints(rotation_in(stopped / "checkpoints"))
+    assert checkpoints_of(stopped)
 
 
 def test_finished_run_that_was_stopped_as_it_went_on_is_not_overwritten(tmp_path: Path) -> None:
@@ -286,8 +264,7 @@ def test_robot_moves_as_often_as_in_a_run_without_stops(
     """The rollout that was collected before the stop is learned from, and not collected again."""
     rollouts: list[int] = []
     original = RolloutCollector.rollout
-    monkeypatch.setattr(
-        RolloutCollector, "rollout", lambda self: rollouts.append(1) or original(self)
-    )
+    counted = lambda self: rollouts.append(1) or original(self)  # noqa: E731
+    monkeypatch.setattr(RolloutCollector, "rollout", counted)
     run(stopped_run(tmp_path / "run", "search", 5), resume=True)
     assert len(rollouts) == TRIALS + 1

@@ -1,6 +1,4 @@
-"""Algorithm 1 as a trainer, on the first four steps of the double pendulum and with searches of a
-few evaluations.
-"""
+"""Algorithm 1 as a trainer, on four steps of the double pendulum."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ import io
 import sys
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from types import SimpleNamespace
@@ -19,9 +17,10 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.testing import assert_close
 from tqdm import tqdm
 
-from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, short_experiment
+from tests.helpers.short_run import PD_MOVEMENTS, short_experiment
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
@@ -40,27 +39,30 @@ from torch_pmil.trainer.trials import Candidate, Trial
 HORIZON, STARTS = 4, 20
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick_fits() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        shorten_fits(patch)
-        yield
+def ignore(_: Trial) -> None:
+    pass
 
 
 def make(
-    trials: int, seed: int = 0, progress_bar: bool = False, **changes: object
-) -> tuple[PMILTrainer, list[Trial]]:
-    """A trainer, and the list that its trials are told to."""
-    told: list[Trial] = []
-    return make_trainer(
-        short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append
-    ), told
+    trials: int,
+    seed: int = 0,
+    progress_bar: bool = False,
+    report: Callable[[Trial], None] = ignore,
+    **changes: object,
+) -> PMILTrainer:
+    task = short_experiment(HORIZON, **changes)
+    return make_trainer(task, seed, trials, progress_bar, report)
+
+
+def learned(trials: int, **options: object) -> PMILTrainer:
+    """A trainer, when it has trained."""
+    trainer = make(trials, **options)
+    trainer.train()
+    return trainer
 
 
 def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
-    """An error measure under which own rollouts have these errors, one after the other, and a
-    quarter of the starts succeed.
-    """
+    """Own rollouts have these errors, one after the other; a quarter of the starts succeed."""
     script, starts = iter(errors), torch.arange(STARTS) % 4
     return lambda rollout: torch.tensor(next(script)) if rollout.ndim == 1 else 1.0 * starts
 
@@ -68,9 +70,7 @@ def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
 @pytest.fixture(scope="module")
 def trained() -> PMILTrainer:
     """Two trials, without success."""
-    trainer, _ = make(trials=2)
-    trainer.train()
-    return trainer
+    return learned(trials=2)
 
 
 def rollouts_of(trainer: PMILTrainer) -> list[TensorDict]:
@@ -94,8 +94,7 @@ def test_each_rollout_is_one_motion_from_a_start_of_its_own(trained: PMILTrainer
 
 
 def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
-    trainer, _ = make(trials=1, random_action=0.1)
-    trainer.train()
+    trainer = learned(trials=1, random_action=0.1)
     actions, u_max = rollouts_of(trainer)[0]["action"], trainer.actor.policy.u_max
     assert (actions.abs() <= 0.1 * u_max).all()
     assert actions.abs().max() > 0.02 * u_max.max()
@@ -103,7 +102,7 @@ def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
 
 
 def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
-    trainer, told = make(trials=2, exploration=PD_MOVEMENTS)
+    trainer = make(trials=2, exploration=PD_MOVEMENTS)
     sizes: list[int] = []
     dynamics = trainer.loss_module.dynamics
     trainer.register_op("post_optim", lambda: sizes.append(len(dynamics.train_inputs)))
@@ -111,7 +110,9 @@ def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
     whole = 2 * 7 + 2 * HORIZON
     assert len(trainer.experience) == trainer.collected_frames == trainer.total_frames == whole
     assert sizes == [14, 14 + HORIZON]
-    assert [trial.experience_s for trial in told] == pytest.approx([1.4, 1.4 + 0.1 * HORIZON])
+    assert [trial.experience_s for trial in trainer.trials] == pytest.approx(
+        [1.4, 1.4 + 0.1 * HORIZON]
+    )
     transitions = trainer.experience.transitions
     for rollout in transitions.split([7, 7, HORIZON, HORIZON]):
         assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
@@ -120,8 +121,7 @@ def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
 
 def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> None:
     """The collector tries out robot and motion when it is made."""
-    trainer, _ = make(trials=1, exploration=PD_MOVEMENTS)
-    trainer.train()
+    trainer = learned(trials=1, exploration=PD_MOVEMENTS)
     env = short_experiment().make_env(seed=0)
     motion = PD_MOVEMENTS.motion(generator_of(Stream.MOTION, 0))
     motion(env.reset()["observation"])
@@ -130,9 +130,7 @@ def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> N
         state = env.reset()["observation"]
         for step in rollout:
             action = motion(state)
-            torch.testing.assert_close(
-                (step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12
-            )
+            assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
             state = env.step(TensorDict({"action": action}))["next", "observation"]
 
 
@@ -141,7 +139,7 @@ def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
     for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
         policy.load_state_dict(candidate.parameters)
         expected = policy(trained.actor.space.features(rollout["observation"]))
-        torch.testing.assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
+        assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
 
 
 def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
@@ -156,7 +154,7 @@ def test_training_is_the_algorithm_on_one_screen() -> None:
 
 
 def test_hooks_of_a_user_are_called() -> None:
-    trainer, _ = make(trials=2)
+    trainer = make(trials=2)
     calls: list[str] = []
     of_batches = {"batch_process": 3, "pre_steps_log": 3, "post_steps_log": 3}
     of_searches = {"process_optim_batch": 2, "post_optim_log": 2}
@@ -171,21 +169,16 @@ def test_hooks_of_a_user_are_called() -> None:
 
 
 def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
-    trainer, told = make(trials=2, error=own_errors(9.0, 9.0), tolerance=0.5)
-    trainer.train()
-    assert [(trial.success_rate, trial.n_eval) for trial in told] == [(0.25, STARTS)] * 2
-    assert not any(trial.own_success for trial in told)
+    trials = learned(trials=2, error=own_errors(9.0, 9.0), tolerance=0.5).trials
+    assert [(trial.success_rate, trial.n_eval) for trial in trials] == [(0.25, STARTS)] * 2
+    assert not any(trial.own_success for trial in trials)
 
 
-def test_error_is_of_the_rollout_as_the_environment_gives_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_error_is_of_the_rollout_as_the_environment_gives_it() -> None:
     """What the states do not say: here, how fast the torques were."""
-    trainer, told = make(
-        trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0
-    )
-    trainer.train()
-    assert told[0].own_error == rollouts_of(trainer)[1]["action"].norm(dim=-1).max().item()
+    fastest = lambda rollout: rollout["action"].norm(dim=-1).amax(-1)  # noqa: E731
+    trainer = learned(trials=1, error=fastest, tolerance=0.0)
+    assert trainer.trials[0].own_error == fastest(rollouts_of(trainer)[1]).item()
 
 
 class ScriptedPromise:
@@ -209,14 +202,14 @@ def promised(trainer: PMILTrainer, *rates: float) -> ScriptedPromise:
     return promise
 
 
-def test_training_ends_when_the_model_that_learned_from_a_success_predicts_the_promised_rate() -> (
-    None
-):
-    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1), tolerance=0.5)
+def test_training_ends_when_the_model_that_learned_from_a_success_predicts_the_rate() -> None:
+    trainer = make(trials=6, error=own_errors(0.1, 0.9, 0.1), tolerance=0.5)
     # before the rollout of each trial, and after those that succeeded
     promise = promised(trainer, 0.99, 0.8, 0.99, 0.7, 1.0)
     trainer.train()
-    rates = [(trial.predicted_success_rate, trial.promised_success_rate) for trial in told]
+    rates = [
+        (trial.predicted_success_rate, trial.promised_success_rate) for trial in trainer.trials
+    ]
     least = [PredictedSuccess(round(rate * SAMPLES)).least for rate in (0.8, 1.0)]
     assert rates == [(0.99, least[0]), (0.99, None), (0.7, least[1])]
     assert trainer.stop_reason == (
@@ -234,8 +227,7 @@ def test_optimiser_of_the_method_does_every_search(monkeypatch: pytest.MonkeyPat
         return minimise(*arguments, optimizer=optimizer, **options)
 
     monkeypatch.setattr(policy_search, "minimise", recorded)
-    trainer, _ = make(trials=1, method=Method(optimizer=adam))
-    trainer.train()
+    learned(trials=1, method=Method(optimizer=adam))
     assert given == [adam] * len(given) and len(given) > 1
 
 
@@ -248,7 +240,7 @@ def test_model_is_fitted_once_to_the_same_experience(monkeypatch: pytest.MonkeyP
         return fit(dynamics, inputs, targets)
 
     monkeypatch.setattr(GPDynamics, "fit", counted)
-    trainer, _ = make(trials=2, error=own_errors(0.1, 0.1), tolerance=0.5)
+    trainer = make(trials=2, error=own_errors(0.1, 0.1), tolerance=0.5)
     promised(trainer, *[0.5] * 6)
     trainer.train()
     trainer.best_policy()
@@ -271,10 +263,9 @@ def test_training_ends_after_own_successes_in_a_row_or_at_the_limit(
     errors: tuple[float, ...], limit: int, confirmations: int, reason: str
 ) -> None:
     """Trials are reported one by one when their rollout is done."""
-    trainer, told = make(
-        limit, error=own_errors(*errors), tolerance=0.5, confirmations=confirmations
-    )
-    trainer.train()
+    told: list[Trial] = []
+    ending = {"tolerance": 0.5, "confirmations": confirmations}
+    trainer = learned(limit, report=told.append, error=own_errors(*errors), **ending)
     assert [trial.own_error for trial in told] == pytest.approx(list(errors))
     assert [trial.own_success for trial in told] == [error <= 0.5 for error in errors]
     assert told == trainer.trials and trainer.stop_reason == reason
@@ -285,14 +276,10 @@ def timeless(trials: list[Trial]) -> list[dict[str, object]]:
     return [asdict(replace(trial, gp_seconds=0.0, search_seconds=0.0)) for trial in trials]
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     """A terminal that is standard error from now on."""
-    screen = Terminal()
+    screen = io.StringIO()
+    screen.isatty = lambda: True
     monkeypatch.setattr(sys, "stderr", screen)
     return screen
 
@@ -301,8 +288,7 @@ def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
     trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     screen = terminal(monkeypatch)
-    again, _ = make(trials=2, progress_bar=True)
-    again.train()
+    again = learned(trials=2, progress_bar=True)
     assert screen.getvalue()
     assert timeless(again.trials) == timeless(trained.trials)
     for key in ("observation", "action"):
@@ -312,7 +298,7 @@ def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
 def test_what_is_done_is_shown_beside_the_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
     terminal(monkeypatch)
-    trainer, _ = make(trials=1, progress_bar=True)
+    trainer = make(trials=1, progress_bar=True)
     monkeypatch.setattr(tqdm, "set_postfix_str", lambda bar, text: shown.append(text))
     trainer.train()
     assert shown[:2] == ["the robot moves", f"fitting the model to {HORIZON} transitions"]
@@ -324,8 +310,7 @@ def test_bar_of_a_run_that_learned_before_its_last_trial_ends_at_its_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     screen = terminal(monkeypatch)
-    trainer, _ = make(trials=9, progress_bar=True, tolerance=1e6, confirmations=1)
-    trainer.train()
+    trainer = learned(trials=9, progress_bar=True, tolerance=1e6, confirmations=1)
     assert len(trainer.trials) == 1
     last = screen.getvalue().rstrip("\n").rpartition("\r")[-1]
     assert "100%" in last and f"{2 * HORIZON}/{2 * HORIZON}" in last
@@ -335,14 +320,12 @@ def test_bar_of_a_run_that_learned_before_its_last_trial_ends_at_its_end(
 def test_where_standard_error_is_no_terminal_there_is_no_bar(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    trainer, _ = make(trials=1, progress_bar=True)
-    trainer.train()
+    learned(trials=1, progress_bar=True)
     assert capsys.readouterr().err == ""
 
 
 def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
-    other, _ = make(trials=1, seed=1)
-    other.train()
+    other = learned(trials=1, seed=1)
     assert timeless(other.trials) != timeless(trained.trials[:1])
     ours, theirs = rollouts_of(trained)[0], rollouts_of(other)[0]
     assert not torch.equal(ours["observation"][0], theirs["observation"][0])
@@ -354,8 +337,9 @@ def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
 
 @pytest.fixture
 def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Candidate]:
-    """Chooses among policies with these own errors and predicted KLs (None: the prediction fails),
-    numbered from 1.
+    """Chooses among policies, numbered from 1, of these own errors and predicted KLs.
+
+    A KL of None stands for a prediction that fails.
     """
 
     def choose(
@@ -397,8 +381,10 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
 def test_best_policy(
     candidates: Callable[..., Candidate], trained: PMILTrainer, outcomes: list, best: int
 ) -> None:
+    """It is chosen under a model of all experience."""
     assert candidates(*outcomes).trial == best
     assert (trained.loss_module.actor_network.weights == best).all()
+    assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
 
 
 @pytest.mark.parametrize(
@@ -414,25 +400,15 @@ def test_best_policy_is_predicted_to_succeed_most_often(
     assert candidates(*outcomes, promise=ScriptedPromise(*rates)).trial == best
 
 
-def test_best_policy_is_chosen_under_a_model_of_all_experience(
-    candidates: Callable[..., Candidate], trained: PMILTrainer
-) -> None:
-    candidates((0.1, 1.0))
-    assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
-
-
 # what the robot executes
 
 
 @pytest.fixture
 def actor() -> RobotActor:
-    experiment = short_experiment(HORIZON)
-    generator = torch.Generator().manual_seed(0)
-    return RobotActor(
-        experiment.make_policy(generator),
-        experiment.space,
-        RandomActions(experiment.actions, 0.4, HORIZON).motion(generator),
-    )
+    task, generator = short_experiment(HORIZON), torch.Generator().manual_seed(0)
+    policy = task.make_policy(generator)
+    motion = RandomActions(task.actions, 0.4, HORIZON).motion(generator)
+    return RobotActor(policy, task.space, motion)
 
 
 def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
@@ -448,9 +424,7 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
     actor.exploring = False
     states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
     actions = actor(states)
-    torch.testing.assert_close(
-        actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0
-    )
+    assert_close(actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0)
     assert not actions.requires_grad
 
 
@@ -469,7 +443,7 @@ def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
 
 
 def test_first_sparse_model_of_a_run_is_told_once() -> None:
-    trainer, _ = make(trials=3)
+    trainer = make(trials=3)
     trainer.loss_module.dynamics.most_exact = 2 * HORIZON
     trainer.loss_module.dynamics.num_inducing = HORIZON
     with pytest.warns(RuntimeWarning, match="posterior is sparse, of 4 inducing inputs") as told:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
-from tests.helpers.short_run import COMMAND, SEED, STEPS, quick_fits, short_experiment
+from tests.helpers.short_run import COMMAND, SEED, STEPS, short_experiment
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.admission import Admission
@@ -19,13 +18,6 @@ from torch_pmil.trainer.trials import Trial
 
 WIDE = {"dq1": (-1e6, 1e6)}
 TIGHT = {"dq2": (-1.5, 1.5)}  # rad/s, reached in the first steps of a swing-up
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        yield
 
 
 def trained(**changes: object) -> PMILTrainer:

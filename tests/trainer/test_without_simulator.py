@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -19,36 +19,28 @@ from tests.helpers.short_run import (
     STEPS,
     TRIALS,
     Stopped,
-    quick_fits,
     stop,
     stop_in,
 )
-from tests.trainer.test_resume import assert_same_end
+from tests.trainer.test_resume import assert_same_end, checkpoints_of
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
 from torch_pmil.runs.training import RunResult, make_trainer, train
-from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trainer import PMILTrainer
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        yield
 
 
 def run(
     folder: Path, attended: Attended, resume: bool = False, trials: int = TRIALS, **changes: object
 ) -> RunResult:
-    experiment = attended.experiment(**changes)
-    return train(
-        experiment, SEED, trials, folder, COMMAND, progress_bar=False, resume=resume, logger="csv"
-    )
+    task, out = attended.experiment(**changes), {"progress_bar": False, "logger": "csv"}
+    return train(task, SEED, trials, folder, COMMAND, resume=resume, **out)
+
+
+def make(attended: Attended, trials: int = TRIALS, **changes: object) -> PMILTrainer:
+    return make_trainer(attended.experiment(**changes), SEED, trials, False, lambda trial: None)
 
 
 def trained(attended: Attended, trials: int = TRIALS, **changes: object) -> PMILTrainer:
-    experiment = attended.experiment(**changes)
-    trainer = make_trainer(experiment, SEED, trials, False, lambda trial: None)
+    trainer = make(attended, trials, **changes)
     trainer.train()
     return trainer
 
@@ -155,23 +147,20 @@ def test_longest_rollout_is_best_where_all_were_cut_short(tmp_path: Path) -> Non
     assert first["cause"] == "rollouts cut short" and "3 of 3" in first["message"]
 
 
-def test_collector_may_be_told_to_make_shorter_rollouts() -> None:
-    experiment = Attended().experiment(tolerance=1e9)
-    trainer = make_trainer(experiment, SEED, 2, False, lambda trial: None)
+def test_collector_may_make_shorter_rollouts() -> None:
+    trainer = make(Attended(), 2, tolerance=1e9)
     trainer.register_op(
         "post_steps_log", lambda batch: setattr(trainer.collector, "steps", 2 - len(trainer.trials))
     )
     trainer.train()
-    assert [(trial.steps, trial.own_success) for trial in trainer.trials] == [
-        (2, False),
-        (1, False),
-    ]
+    ends = [(trial.steps, trial.own_success) for trial in trainer.trials]
+    assert ends == [(2, False), (1, False)]
 
 
 def test_first_motion_that_gives_no_model_is_an_error_and_not_kept(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"must give 2 transitions at least, got 1: no reading"):
         run(tmp_path, Attended(failing={1: 2}))
-    assert not saved_checkpoints(rotation_in(tmp_path / "checkpoints"))
+    assert not checkpoints_of(tmp_path)
     run(tmp_path, Attended(), resume=True)
 
 

@@ -15,6 +15,7 @@ from tests.helpers.run_script import run_script
 from torch_pmil.plotting import Figure
 
 SCRIPT = "scripts/reproduce.py"
+QUICKLY = f"python {SCRIPT} figure6 --quick"
 Script = Callable[..., None]
 
 
@@ -75,7 +76,11 @@ def test_unknown_name_is_refused_and_help_says_what_each_experiment_shows(
     ("error", "code", "told"),
     [
         (OSError("disk full"), "error: runs/quick/seed_0: disk full", ""),
-        (KeyboardInterrupt(), 130, "stopped; go on with: python scripts/reproduce.py figure6 --quick\n"),
+        (
+            KeyboardInterrupt(),
+            130,
+            f"stopped; go on with: {QUICKLY}\n",
+        ),
     ],
 )
 def test_failed_run_is_one_line_and_an_interrupted_one_says_how_to_go_on(

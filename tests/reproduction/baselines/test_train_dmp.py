@@ -47,10 +47,7 @@ def test_run_leaves_its_numbers_and_says_them(
     ("override", "message"),
     [
         ("trials=0", "trials must be a whole number of at least 1, got 0"),
-        (
-            "feedback_period=0.03",
-            "feedback_period must divide the control period of 0.1 s, got 0.03 s",
-        ),
+        (f"{PERIOD}=0.03", f"{PERIOD} must divide the control period of 0.1 s, got 0.03 s"),
         ("demonstrations=none.csv", "there is no file none.csv"),
     ],
 )

@@ -106,7 +106,7 @@ def variations() -> dict[str, Variation]:
     """
     task = load_experiment("double_pendulum")
     ours = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)})
-    search = task.method.search
+    policy, search = task.method.policy, task.method.search
     at_once = replace(
         search,
         first_horizon=task.horizon,
@@ -120,14 +120,14 @@ def variations() -> dict[str, Variation]:
     )
     changes: dict[str, dict[str, Any]] = {
         "ours": {},
-        "no_growing_horizon": {"search": at_once},
-        "no_mean_start": {"search": no_mean_start},
+        "no_growing_horizon": {"method": replace(task.method, search=at_once)},
+        "no_mean_start": {"method": replace(task.method, search=no_mean_start)},
         "random_centres": {"random_centres": True},
         "noise_0.02m": {"noise_std": 0.02},
         "noise_0.1m": {"noise_std": 0.1},
         "plain_angles": {
             "space": replace(task.space, angles=()),
-            "least_widths": None,
+            "method": replace(task.method, policy=replace(policy, least_widths=None)),
             "demonstrated_states": near_start(task),
         },
         "successors": {"targets": "successor"},

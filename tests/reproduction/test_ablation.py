@@ -20,12 +20,13 @@ from reproduction.ablation import (
     variations,
 )
 from reproduction.learned import load_learned
-from tests.helpers.short_run import quick_fits, short_experiment, stop_in
+from tests.helpers.short_run import quick_fits, run, short_experiment, stopped_run
 from tests.helpers.summaries import leave_summary, summary, trial
 from torch_pmil.model.particles import ParticlePrediction
-from torch_pmil.runs.training import make_trainer, train
+from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Task
 
 CHANGED = {
     "ours": set(),
@@ -45,6 +46,13 @@ def varied() -> dict[str, Variation]:
     return variations()
 
 
+def choices(variation: Variation) -> dict[str, object]:
+    """All that may be made otherwise."""
+    owners = variation, variation.method, variation.method.policy
+    found = {entry.name: getattr(owner, entry.name) for owner in owners for entry in fields(owner)}
+    return {name: found[name] for name in found.keys() - {"name", "method", "policy"}}
+
+
 def differs(one: object, other: object) -> bool:
     if isinstance(one, torch.Tensor):
         return not torch.equal(one, other)
@@ -53,31 +61,22 @@ def differs(one: object, other: object) -> bool:
 
 def short(variation: Variation) -> Variation:
     """The same of the first steps, with searches of a few evaluations, but for what it varies."""
-    few = {
-        entry.name: getattr(short_experiment(), entry.name)
-        for entry in fields(load_experiment("double_pendulum"))
-    }
-    kept = CHANGED[variation.name.removeprefix("double_pendulum_ablation_")] - {"search"} | {"name"}
-    search = SearchSettings(
-        min(variation.search.mean_iterations, 1), 1, 1, first_horizon=variation.search.first_horizon
-    )
-    return replace(
-        variation, **{name: few[name] for name in few.keys() - kept} | {"search": search}
-    )
+    few, search, policy = short_experiment(), variation.method.search, variation.method.policy
+    kept = CHANGED[variation.name.removeprefix("double_pendulum_ablation_")] | {"name", "method"}
+    quick = SearchSettings(min(search.mean_iterations, 1), 1, 1, first_horizon=search.first_horizon)
+    policy = replace(few.method.policy, least_widths=policy.least_widths)
+    shared = {entry.name: getattr(few, entry.name) for entry in fields(Task)}
+    changes = {name: shared[name] for name in shared.keys() - kept}
+    return replace(variation, **changes, method=replace(few.method, policy=policy, search=quick))
 
 
-@pytest.mark.parametrize("name", LABELS)
-def test_each_variation_differs_from_ours_in_its_own_choice(
-    varied: dict[str, Variation], name: str
+def test_each_variation_differs_from_ours_in_its_own_choice_and_in_name(
+    varied: dict[str, Variation],
 ) -> None:
-    names = {entry.name for entry in fields(Variation)} - {"name"}
-    ours, variation = varied["ours"], varied[name]
-    assert {
-        entry for entry in names if differs(getattr(variation, entry), getattr(ours, entry))
-    } == CHANGED[name]
-
-
-def test_variations_are_told_apart_by_name_and_by_settings(varied: dict[str, Variation]) -> None:
+    ours = choices(varied["ours"])
+    for name, variation in varied.items():
+        own = choices(variation)
+        assert {entry for entry in own if differs(own[entry], ours[entry])} == CHANGED[name]
     assert varied.keys() == LABELS.keys() == CHANGED.keys()
     assert len({variation.name for variation in varied.values()}) == len(varied)
     assert len({json.dumps(variation.settings) for variation in varied.values()}) == len(varied)
@@ -119,8 +118,8 @@ def test_loss_and_model_are_of_the_kind_that_is_varied(varied: dict[str, Variati
     assert not varied["successors"].make_dynamics().targets.matrix.any()
     particles = make_trainer(varied["particles"], 0, 1, False, print).loss_module
     assert particles.prediction == ParticlePrediction(PARTICLES)
-    assert varied["no_growing_horizon"].search.first_horizon == varied["ours"].horizon
-    assert varied["no_mean_start"].search.mean_iterations == 0
+    assert varied["no_growing_horizon"].method.search.first_horizon == varied["ours"].horizon
+    assert varied["no_mean_start"].method.search.mean_iterations == 0
 
 
 @pytest.mark.parametrize("name", CHANGED)
@@ -129,7 +128,7 @@ def test_each_variation_learns_is_saved_and_loaded(
 ) -> None:
     quick_fits(monkeypatch)
     task = short(varied[name])
-    result = train(task, seed=0, trials=1, out=tmp_path, command="", progress_bar=False)
+    result = run(tmp_path, task=task, seed=0, trials=1)
     loaded = load_learned(tmp_path, task)
     torch.testing.assert_close(
         loaded.predicted(task).mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10
@@ -142,30 +141,20 @@ def test_run_on_particles_that_was_stopped_ends_as_one_that_was_not(
     varied: dict[str, Variation], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
-    arguments = {"seed": 0, "trials": 2, "command": "", "progress_bar": False}
-    whole = train(short(varied["particles"]), out=tmp_path / "whole", **arguments)
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_in(patch, "search", 5, stop)
-        train(short(varied["particles"]), out=tmp_path / "stopped", **arguments)
-    resumed = train(short(varied["particles"]), out=tmp_path / "stopped", resume=True, **arguments)
-    assert all(
-        torch.equal(one, other)
-        for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True)
-    )
+    given = {"task": short(varied["particles"]), "seed": 0, "trials": 2}
+    whole = run(tmp_path / "whole", **given)
+    resumed = run(stopped_run(tmp_path / "stopped", "search", 5, **given), resume=True, **given)
+    for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True):
+        assert torch.equal(one, other)
     assert [trial.loss for trial in whole.trials] == [trial.loss for trial in resumed.trials]
-
-
-def stop() -> None:
-    raise KeyboardInterrupt
 
 
 def test_all_variations_run_with_all_seeds(tmp_path: Path) -> None:
     full, quick = needed_runs(tmp_path, False), needed_runs(tmp_path, True)
     assert [run.out.name for run in full] == ["seed_0", "seed_1", "seed_2"] * len(LABELS)
     assert {run.learn.keywords["trials"] for run in full} == {10}
-    assert [run.out.parent.name.removeprefix("double_pendulum_ablation_") for run in quick] == list(
-        LABELS
-    )
+    names = [run.out.parent.name.removeprefix("double_pendulum_ablation_") for run in quick]
+    assert names == list(LABELS)
 
 
 def summary_of(rate: float, successes: list[bool]) -> dict:
@@ -186,23 +175,19 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
             run = summary_of(index / 10 + seed / 100, [False, seed == 1, index == 3])
             folders.append(leave_summary(tmp_path / name / str(seed), **run))
     made = results(folders, quick=False)
-    assert made.headline["ours_success"] == pytest.approx(0.005)
-    assert made.headline["particles_success"] == pytest.approx(0.805)
-    assert made.headline["ours_first_success_s"] == pytest.approx((10 + 5) / 2)
-    assert made.headline["random_centres_first_success_s"] == pytest.approx((7.5 + 5) / 2)
-    assert (
-        made.headline["ours_runs_with_success"],
-        made.headline["random_centres_runs_with_success"],
-    ) == (1, 2)
-    assert (
-        np.array(made.details["success"]).shape
-        == np.array(made.details["first_success_s"]).shape
-        == (len(LABELS), 2)
-    )
+    expected = {
+        "ours_success": 0.005,
+        "particles_success": 0.805,
+        "ours_first_success_s": (10 + 5) / 2,
+        "random_centres_first_success_s": (7.5 + 5) / 2,
+        "ours_runs_with_success": 1,
+        "random_centres_runs_with_success": 2,
+    }
+    assert {name: made.headline[name] for name in expected} == pytest.approx(expected)
+    for numbers in ("success", "first_success_s"):
+        assert np.array(made.details[numbers]).shape == (len(LABELS), 2)
     ours, *variants = LABELS.values()
-    rows = [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()]
-    assert rows == [ours, *reversed(variants)]
-    assert "never" in [
-        tick.get_text() for tick in made.figures["ablation"].axes[1].get_xticklabels()
-    ]
+    left, right = made.figures["ablation"].axes
+    assert [tick.get_text() for tick in left.get_yticklabels()] == [ours, *reversed(variants)]
+    assert "never" in [tick.get_text() for tick in right.get_xticklabels()]
     json.dumps({**made.headline, **made.details})

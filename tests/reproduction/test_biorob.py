@@ -5,7 +5,6 @@ they say.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,44 +20,44 @@ from reproduction.biorob import (
     results,
 )
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from tests.helpers.short_run import quick_fits
-from torch_pmil.runs.training import train
+from tests.helpers.short_run import changed, quick_fits, run
+from tests.helpers.summaries import summary
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import load_experiment
 
 ENTRIES = ("q_yaw", "q_shoulder", "q_elbow", "dq_yaw", "dq_shoulder", "dq_elbow")
 
 
-def summary(rate: float, error: float, trials: int = 4, **changes: object) -> dict:
+def run_of(rate: float, error: float, trials: int = 4) -> dict:
     """Of a run whose joints are ``error`` degrees off."""
-    return {
-        "saved_success_rate": rate,
-        "experience_s": 6.0 + 1.8 * trials,
-        "wall_seconds": 10.0 * trials,
-        "two_sigma_coverage": 0.95,
-        "two_sigma_coverage_by_entry": dict.fromkeys(ENTRIES, 0.95),
-        "rms_error": {
-            name: math.radians(error) if name.startswith("q") else 9.0 for name in ENTRIES
-        },
-        "demonstration_spread": {
-            name: math.radians(2.0) if name.startswith("q") else 9.0 for name in ENTRIES
-        },
-        "trials": [{}] * trials,
-    } | changes
+
+    def degrees(angle: float) -> dict[str, float]:
+        return {name: math.radians(angle) if name.startswith("q") else 9.0 for name in ENTRIES}
+
+    return summary(
+        saved_success_rate=rate,
+        experience_s=6.0 + 1.8 * trials,
+        two_sigma_coverage_by_entry=dict.fromkeys(ENTRIES, 0.95),
+        rms_error=degrees(error),
+        demonstration_spread=degrees(2.0),
+        trials=[{}] * trials,
+    )
 
 
 def test_headline_counts_seeds_that_hit_in_time() -> None:
-    headline = headline_of(
-        [summary(1.0, 3.0), summary(0.95, 4.0), summary(0.9, 4.0), summary(1.0, 4.0, trials=5)]
-    )
-    assert headline["seeds_solved_by_trial_4"] == 2
-    assert headline["hit_rate"] == pytest.approx(3.85 / 4)
-    assert headline["max_experience_s"] == pytest.approx(15.0)
-    assert headline["joint_rms_error_deg"] == pytest.approx(math.sqrt((9 + 3 * 16) / 4))
-    assert headline["worst_joint_rms_error_deg"] == pytest.approx(4.0)
-    assert headline["median_joint_rms_error_deg"] == pytest.approx(4.0)
-    assert headline["demonstration_spread_deg"] == pytest.approx(2.0)
-    assert headline["two_sigma_coverage_q_yaw"] == pytest.approx(0.95)
+    runs = [run_of(1.0, 3.0), run_of(0.95, 4.0), run_of(0.9, 4.0), run_of(1.0, 4.0, trials=5)]
+    expected = {
+        "seeds_solved_by_trial_4": 2,
+        "hit_rate": 3.85 / 4,
+        "max_experience_s": 15.0,
+        "joint_rms_error_deg": math.sqrt((9 + 3 * 16) / 4),
+        "worst_joint_rms_error_deg": 4.0,
+        "median_joint_rms_error_deg": 4.0,
+        "demonstration_spread_deg": 2.0,
+        "two_sigma_coverage_q_yaw": 0.95,
+    }
+    headline = headline_of(runs)
+    assert {name: headline[name] for name in expected} == pytest.approx(expected)
 
 
 def test_ten_seeds_of_four_trials_are_those_of_the_training_script(tmp_path: Path) -> None:
@@ -70,31 +69,22 @@ def test_ten_seeds_of_four_trials_are_those_of_the_training_script(tmp_path: Pat
 def test_report_of_a_short_run_has_its_figures_in_degrees(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = replace(
-        load_experiment("biorob"), num_centres=5, search=SearchSettings(0, 1, 1, first_horizon=18)
-    )
+    def no_pictures(*_: object) -> None:
+        raise RuntimeError("no OpenGL")
+
+    search = SearchSettings(0, 1, 1, first_horizon=18)
+    short = changed(load_experiment("biorob"), num_centres=5, search=search)
+    quick_fits(monkeypatch)
+    run(tmp_path, task=short, seed=0, trials=1)
     monkeypatch.setattr(biorob, "load_experiment", lambda name: short)
-    with pytest.MonkeyPatch.context() as patch:
-        quick_fits(patch)
-        train(short, 0, 1, tmp_path, "test", progress_bar=False)
-    monkeypatch.setattr(
-        biorob,
-        "photo_series",
-        lambda rollout, experiment: (_ for _ in ()).throw(RuntimeError("no OpenGL")),
-    )
+    monkeypatch.setattr(biorob, "photo_series", no_pictures)
     with pytest.warns(RuntimeWarning, match="there is no figure 8: no OpenGL"):
         made = results([tmp_path], quick=True)
     assert sorted(made.figures) == ["figure10", "hits_over_experience"]
-    panels = made.figures["figure10"].axes
-    assert [panel.get_ylabel() for panel in panels] == [
-        "q yaw (°)",
-        "q shoulder (°)",
-        "q elbow (°)",
-    ]
-    demonstrated = panels[1].lines[0].get_ydata()
-    assert demonstrated == pytest.approx(
-        np.rad2deg(short.demonstrations.positions[:, 1:, 1].mean(0).numpy())
-    )
+    panels, joints = made.figures["figure10"].axes, ("yaw", "shoulder", "elbow")
+    assert [panel.get_ylabel() for panel in panels] == [f"q {joint} (°)" for joint in joints]
+    shoulder = short.demonstrations.positions[:, 1:, 1].mean(0).numpy()
+    assert panels[1].lines[0].get_ydata() == pytest.approx(np.rad2deg(shoulder))
 
 
 def test_pictures_are_of_the_demonstration_and_of_the_rollout_and_said_to_be_rendered() -> None:

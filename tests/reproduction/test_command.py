@@ -15,6 +15,7 @@ from tests.helpers.run_script import run_script
 from torch_pmil.plotting import Figure
 
 SCRIPT = "scripts/reproduce.py"
+QUICKLY = f"python {SCRIPT} figure6 --quick"
 Script = Callable[..., None]
 
 
@@ -42,10 +43,8 @@ def test_headline_and_files_are_told(
 ) -> None:
     monkeypatch.setitem(PAPER, "figure6", toy())
     script("figure6")
-    assert (
-        capsys.readouterr().out == "pi: 3.142\nquick: 0\nsee results/paper/figure6/summary.json, "
-        "results/paper/figure6/empty.png\n"
-    )
+    files = "results/paper/figure6/summary.json, results/paper/figure6/empty.png"
+    assert capsys.readouterr().out == f"pi: 3.142\nquick: 0\nsee {files}\n"
     script("figure6", "--quick")
     assert "quick: 1\nsee results/quick/figure6/summary.json" in capsys.readouterr().out
 
@@ -56,54 +55,47 @@ def test_what_never_came_about_is_told_and_written_as_such(
     monkeypatch.setitem(PAPER, "figure6", toy(experience_to_95=None))
     script("figure6")
     assert "experience_to_95: never\n" in capsys.readouterr().out
-    assert (
-        json.loads(Path("results/paper/figure6/summary.json").read_text())["headline"][
-            "experience_to_95"
-        ]
-        is None
-    )
+    written = json.loads(Path("results/paper/figure6/summary.json").read_text())
+    assert written["headline"]["experience_to_95"] is None
 
 
-def test_unknown_name_is_refused_with_those_there_are(
+def test_unknown_name_is_refused_and_help_says_what_each_experiment_shows(
     script: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         script("figure99")
-    assert stop.value.code == 2
-    assert all(name in capsys.readouterr().err for name in ("figure99",))
-
-
-def test_help_says_what_each_experiment_shows(
-    script: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
+    assert stop.value.code == 2 and "figure99" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         script("--help")
     told = capsys.readouterr().out
-    assert all(
-        f"{name} " in told and experiment.shows in told for name, experiment in PAPER.items()
-    )
+    for name, experiment in PAPER.items():
+        assert f"{name} " in told and experiment.shows in told
 
 
-def test_failed_run_is_one_line(script: Script, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(out: Path, command: str) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setitem(PAPER, "figure6", toy(fail))
-    with pytest.raises(SystemExit) as stop:
-        script("figure6")
-    assert stop.value.code == "error: runs/seed_0: disk full"
-
-
-def test_interrupted_reproduction_says_how_to_go_on(
-    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (OSError("disk full"), "error: runs/quick/seed_0: disk full", ""),
+        (
+            KeyboardInterrupt(),
+            130,
+            f"stopped; go on with: {QUICKLY}\n",
+        ),
+    ],
+)
+def test_failed_run_is_one_line_and_an_interrupted_one_says_how_to_go_on(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    code: str | int,
+    told: str,
 ) -> None:
-    def interrupted(out: Path, command: str) -> None:
-        raise KeyboardInterrupt
+    def end(out: Path, command: str) -> None:
+        raise error
 
-    monkeypatch.setitem(PAPER, "figure6", toy(interrupted))
+    monkeypatch.setitem(PAPER, "figure6", toy(end))
     with pytest.raises(SystemExit) as stop:
         script("figure6", "--quick")
-    assert stop.value.code == 130
-    assert capsys.readouterr().err.endswith(
-        "stopped; go on with: python scripts/reproduce.py figure6 --quick\n"
-    )
+    assert stop.value.code == code
+    assert capsys.readouterr().err.endswith(told)

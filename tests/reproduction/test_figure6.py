@@ -1,6 +1,4 @@
-"""Figures 2 to 6 from a run's folder: what is loaded is what was learned, and the numbers mean what
-they say.
-"""
+"""Figures 2 to 6 from a run's folder: what is loaded was learned, and numbers are right."""
 
 from __future__ import annotations
 
@@ -21,14 +19,13 @@ from reproduction.figure6 import (
 )
 from reproduction.learned import load_learned
 from tests.helpers.draws import Draws
-from tests.helpers.short_run import STEPS, quick_fits, run, short_experiment
+from tests.helpers.short_run import STEPS, quick_fits, replace_task, run, short_experiment
 from torch_pmil.control.policy_file import PolicyFileError
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.runs.training import RunResult
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.tasks.registry import EXPERIMENTS
 
 
 @pytest.fixture(scope="module")
@@ -43,15 +40,12 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
 def test_what_is_loaded_predicts_what_the_run_predicted(learned: tuple[Path, RunResult]) -> None:
     folder, result = learned
     loaded, experiment = load_learned(folder, short_experiment()), short_experiment()
-    predicted = loaded.predicted(experiment)
-    torch.testing.assert_close(
-        predicted.mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10
-    )
-    torch.testing.assert_close(predicted.cov, result.outcomes[0].predicted.cov, rtol=0, atol=1e-10)
+    predicted, expected = loaded.predicted(experiment), result.outcomes[0].predicted
+    torch.testing.assert_close(predicted.mean, expected.mean, rtol=0, atol=1e-10)
+    torch.testing.assert_close(predicted.cov, expected.cov, rtol=0, atol=1e-10)
     executed = states_of(loaded.rollouts(experiment, starts=3, seed=1))
-    torch.testing.assert_close(
-        executed[:, 0], experiment.make_env(num_envs=3, seed=1).reset()["observation"]
-    )
+    starts = experiment.make_env(num_envs=3, seed=1).reset()["observation"]
+    torch.testing.assert_close(executed[:, 0], starts)
     assert executed.shape == (3, STEPS + 1, 4)
 
 
@@ -60,9 +54,8 @@ def test_run_of_another_experiment_is_refused(
 ) -> None:
     summary = json.loads((learned[0] / "summary.json").read_text())
     (tmp_path / "summary.json").write_text(json.dumps(summary | {"experiment": "biorob"}))
-    with pytest.raises(
-        RunError, match=f"{tmp_path} must be a run of double_pendulum, got one of biorob"
-    ):
+    message = f"{tmp_path} must be a run of double_pendulum, got one of biorob"
+    with pytest.raises(RunError, match=message):
         load_learned(tmp_path, short_experiment())
 
 
@@ -89,15 +82,11 @@ def test_report_has_all_figures_and_numbers_of_the_run(
     learned: tuple[Path, RunResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     short = short_experiment()
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    replace_task(monkeypatch, short)
     made = results([learned[0]], quick=True)
     assert sorted(made.figures) == ["figure2", "figure3", "figure4", "figure5", "figure6"]
-    assert [panel.get_ylabel() for panel in made.figures["figure6"].axes] == [
-        "x1 (m)",
-        "y1 (m)",
-        "x2 (m)",
-        "y2 (m)",
-    ]
+    labels = [panel.get_ylabel() for panel in made.figures["figure6"].axes]
+    assert labels == ["x1 (m)", "y1 (m)", "x2 (m)", "y2 (m)"]
     assert len(made.figures["figure5"].axes[0].lines) == STEPS + 2
     assert made.headline["experience_s"] == learned[1].summary["experience_s"]
     assert made.headline["success_rate"] == 0  # nothing is upright after four steps
@@ -124,44 +113,35 @@ def test_equal_distributions_compare_as_equal(draws: Draws) -> None:
     assert moved["largest_mean_difference_m"] == pytest.approx(0.3) and moved["kl_nats"] > 0
 
 
-def test_matched_moments_agree_with_samples_within_their_error() -> None:
+def test_moments_and_samples_disagree_in_standard_errors_and_by_a_ratio(draws: Draws) -> None:
+    difference, ratio = "moment_matching_mean_difference_se", "moment_matching_std_ratio"
     numbers, _ = moment_matching_figure()
-    assert abs(numbers["moment_matching_mean_difference_se"]) < 4
-    assert abs(numbers["moment_matching_std_ratio"] - 1) < 0.01
-
-
-def test_disagreement_is_told_in_standard_errors_and_as_a_ratio(draws: Draws) -> None:
+    assert abs(numbers[difference]) < 4 and abs(numbers[ratio] - 1) < 0.01
     samples = draws.normal(10_000)
     told = agreement(Gaussian(samples.mean()[None] + 0.05, 4 * samples.var()[None, None]), samples)
-    assert told["moment_matching_mean_difference_se"] == pytest.approx(
-        0.05 * 100 / samples.std().item()
-    )
-    assert told["moment_matching_std_ratio"] == pytest.approx(2)
+    assert told[difference] == pytest.approx(0.05 * 100 / samples.std().item())
+    assert told[ratio] == pytest.approx(2)
 
 
 def test_samples_at_a_certain_input_have_the_posterior_of_the_gp() -> None:
     gp, point = one_dimension.fitted_gp(), torch.tensor([one_dimension.TEST_INPUT]).double()
-    certain, posterior = (
-        Gaussian(point, torch.zeros(1, 1).double()),
-        one_dimension.posterior(gp, point),
-    )
+    certain = Gaussian(point, torch.zeros(1, 1).double())
+    posterior = one_dimension.posterior(gp, point)
     samples = one_dimension.sample_output(gp, certain, 10_000, torch.Generator().manual_seed(1))
     assert abs(samples.mean() - posterior.mean.item()) < 4 * posterior.std.item() / 100
     assert abs(samples.std() / posterior.std.item() - 1) < 4 / 20_000**0.5
 
 
 def test_the_gp_is_certain_near_its_data_and_falls_back_to_its_prior_far_away() -> None:
-    gp = one_dimension.fitted_gp()
+    gp, noise = one_dimension.fitted_gp(), one_dimension.NOISE_STD
     near = one_dimension.posterior(gp, gp.train_inputs[:, 0])
-    torch.testing.assert_close(
-        near.mean,
-        one_dimension.true_function(gp.train_inputs),
-        rtol=0,
-        atol=4 * one_dimension.NOISE_STD,
+    true = one_dimension.true_function(gp.train_inputs)
+    torch.testing.assert_close(near.mean, true, rtol=0, atol=4 * noise)
+    assert near.std.max() < 2 * noise
+    far, tested = (
+        one_dimension.posterior(gp, torch.tensor([at]).double())
+        for at in (100.0, one_dimension.TEST_INPUT)
     )
-    assert near.std.max() < 2 * one_dimension.NOISE_STD
-    far = one_dimension.posterior(gp, torch.tensor([100.0]).double())
     torch.testing.assert_close(far.std[0].square(), gp.expansion.signal_variance)
-    test_input = one_dimension.posterior(gp, torch.tensor([one_dimension.TEST_INPUT]).double())
-    assert test_input.std.item() > 0.8 * far.std.item()
+    assert tested.std.item() > 0.8 * far.std.item()
     assert len(gp_figure().axes) == 1

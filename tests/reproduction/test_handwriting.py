@@ -27,26 +27,19 @@ def test_every_shape_and_robot_has_a_folder_for_every_seed(tmp_path: Path) -> No
     runs = needed_runs(tmp_path, False)
     assert len({run.out for run in runs}) == len(runs) == len(TASKS) * len(SEEDS) == 18
     assert {run.learn.keywords["trials"] for run in runs} == {TRIALS} == {12}
-    assert [run.out for run in runs[:2]] == [
-        tmp_path / f"handwriting_{s}_double_pendulum" / "seed_0" for s in ("Angle", "Sshape")
-    ]
+    names = [f"handwriting_{shape}_double_pendulum" for shape in ("Angle", "Sshape")]
+    assert [run.out for run in runs[:2]] == [tmp_path / name / "seed_0" for name in names]
     assert len(needed_runs(tmp_path, True)) == 1
-
-
-def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
-    for run in needed_runs(tmp_path, False)[:: len(SEEDS) + 1]:
+    for run in runs[:: len(SEEDS) + 1]:  # they go to other processes
         sent = pickle.loads(pickle.dumps(run))
         start = run.learn.keywords["experiment"].initial.mean
         assert torch.equal(sent.learn.keywords["experiment"].initial.mean, start)
 
 
-def test_ratio_is_one_where_the_error_is_the_spread_in_whatever_direction() -> None:
-    assert ratio(errors(0.01)) == pytest.approx(1.0)
-
-
 def test_every_median_is_at_its_shape_and_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert ratio(errors(0.01)) == pytest.approx(1.0)  # in another direction than the spread
     point = torch.zeros(1, 2, 2, dtype=torch.float64)
     drawn = Writing(point, Gaussian(point[0, 1:], torch.eye(2, dtype=torch.float64)[None]), point)
     monkeypatch.setattr(handwriting, "writing", lambda folder, shape, robot: drawn)
@@ -62,6 +55,5 @@ def test_every_median_is_at_its_shape_and_robot(
     assert found.headline["worst_ratio"] == pytest.approx(7.0 * len(TASKS))
     assert found.figures.keys() == SHAPES.keys()
     assert len(found.figures["double_pendulum"].axes) == 4
-    assert [(one["robot"], one["shape"]) for one in found.details["measured"]] == [
-        task for task in TASKS for _ in SEEDS
-    ]
+    measured = [(one["robot"], one["shape"]) for one in found.details["measured"]]
+    assert measured == [task for task in TASKS for _ in SEEDS]

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from reproduction import imperfect
+from reproduction.handwriting import written
 from reproduction.imperfect import (
     LATE,
     LONGER_LINKS,
@@ -24,6 +25,7 @@ from reproduction.imperfect import (
 )
 from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.runs.diagnosis.before_a_run import check
+from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.double_pendulum import UPRIGHT
 from torch_pmil.tasks.registry import load_experiment
 
@@ -39,9 +41,8 @@ def known() -> dict[str, Variant]:
 def test_one_demonstration_is_wrong_and_the_others_are_as_they_were(
     known: dict[str, Variant], name: str
 ) -> None:
-    given, right = (
-        task.demonstrations.positions for task in (known[name].task, known[name].measure)
-    )
+    tasks = known[name].task, known[name].measure
+    given, right = (task.demonstrations.positions for task in tasks)
     differ = (given - right).abs().amax((1, 2)) > 0.05
     assert differ.nonzero().flatten().tolist() == [WRONG]
     assert torch.equal(given[~differ], right[~differ])
@@ -76,10 +77,8 @@ def test_tip_alone_is_that_of_the_other_links_and_in_reach(known: dict[str, Vari
     tip, ends = known["links_tip"].task, known["links"].task
     assert tip.demonstrations.names == tip.space.match_space.names == ("x2", "y2")
     assert torch.equal(tip.demonstrations.positions, ends.demonstrations.positions[..., 2:])
-    shown = tip.space.observe(tip.demonstrated_states)
-    torch.testing.assert_close(
-        shown, tip.demonstrations.positions.flatten(0, 1), rtol=0, atol=tip.noise_std / 100
-    )
+    seen, shown = tip.space.observe(tip.demonstrated_states), tip.demonstrations.positions
+    torch.testing.assert_close(seen, shown.flatten(0, 1), rtol=0, atol=tip.noise_std / 100)
 
 
 def test_checks_name_each_fault_and_nothing_where_there_is_none(known: dict[str, Variant]) -> None:
@@ -94,9 +93,9 @@ def test_references_are_the_tasks_as_they_are(known: dict[str, Variant]) -> None
     ours = load_experiment("double_pendulum")
     task = known["perfect"].task
     assert task.name == ours.name and task.settings == ours.settings
-    written = load_experiment("handwriting", None, "Sshape", "double_pendulum")
-    assert known["strokes"].task.settings == written.settings
-    assert known["wrong_stroke"].task.tolerance > 2 * written.tolerance
+    strokes = written("Sshape")
+    assert known["strokes"].task.settings == strokes.settings
+    assert known["wrong_stroke"].task.tolerance > 2 * strokes.tolerance
     assert known["wrong_stroke"].measure is known["strokes"].task
 
 
@@ -122,10 +121,15 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path, monkeypatch: pytest.Monke
             diagnosis=[reason] if failed and seed else [],
             trials=[trial(5.0, 0.0, own_success=not failed)],
         )
-    monkeypatch.setattr(imperfect, "load_learned", learned_of)
-    monkeypatch.setattr(
-        imperfect, "measured_success", lambda policy, *_: 0.25 if "failed" in policy else 1.0
-    )
+
+    def learned(folder: Path, _: object) -> SimpleNamespace:
+        return SimpleNamespace(summary=read_summary(folder), policy=folder.parent.name)
+
+    def measured(policy: str, *_: object) -> float:
+        return 0.25 if "failed" in policy else 1.0
+
+    monkeypatch.setattr(imperfect, "load_learned", learned)
+    monkeypatch.setattr(imperfect, "measured_success", measured)
     found = results(folders, quick=False)
     expected = {"success": 0.25, "experience": 12.0, "said_before": 1.0, "said_after": 0.8}
     assert {key: found.headline[f"{key}_failed"] for key in expected} == expected
@@ -138,8 +142,3 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path, monkeypatch: pytest.Monke
     assert any("unlike the others" in warning["message"] for warning in words["warnings"])
     assert set(found.figures) == set(variants())
     json.dumps({**found.headline, **found.details})
-
-
-def learned_of(folder: Path, _: object) -> SimpleNamespace:
-    summary = json.loads((folder / "summary.json").read_text())
-    return SimpleNamespace(summary=summary, policy=folder.parent.name)

@@ -31,44 +31,29 @@ def hanging_still(**settings: object) -> Task:
     )
 
 
-def motionless_policy() -> StatePolicy:
+def test_success_is_the_fraction_of_the_starts_by_the_true_states() -> None:
+    """However noisy the sensors."""
     experiment = load_experiment("double_pendulum")
-    policy = RBFPolicy(torch.zeros(1, 6), experiment.actions.half_range, torch.ones(6))
-    return StatePolicy(policy, experiment.space, 0.1)
-
-
-def test_success_is_judged_by_the_true_states_however_noisy_the_sensors() -> None:
+    still = RBFPolicy(torch.zeros(1, 6), experiment.actions.half_range, torch.ones(6))
+    policy = StatePolicy(still, experiment.space, 0.1)
     noisy = hanging_still(observation_std=(10.0, 10.0, 10.0, 10.0))
-    assert measured_success(motionless_policy(), noisy, starts=20, seed=0) == 1
-
-
-def test_success_is_the_fraction_of_the_starts_of_that_robot() -> None:
+    assert measured_success(policy, noisy, starts=20, seed=0) == 1
     wide = hanging_still(initial_std=(0.5, 0.0, 0.0, 0.0))
     starts = wide.make_env(num_envs=200, seed=3).reset()["observation"]
-    rate = measured_success(motionless_policy(), wide, starts=200, seed=3)
+    rate = measured_success(policy, wide, starts=200, seed=3)
     assert 0 < rate <= ((starts - wide.initial.mean)[:, 0].abs() <= 0.5).double().mean()
 
 
-def test_outcome_tells_of_the_run_and_measures_its_policy_anew(
+def test_run_is_measured_anew_and_a_model_that_does_not_fit_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
     result = run(tmp_path, trials=1)
     easy = replace(short_experiment(), tolerance=10.0)
     told = remeasured(tmp_path, easy, starts=3, seed=1)
-    assert told == {
-        "experiment": "double_pendulum",
-        "seed": result.summary["seed"],
-        "success_rate": 1.0,
-        "experience_s": result.summary["experience_s"],
-        "trials": 1,
-        "stop_reason": result.summary["stop_reason"],
-    }
-
-
-def test_model_that_does_not_fit_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick_fits(monkeypatch)
-    run(tmp_path, trials=1)
+    repeated = {name: result.summary[name] for name in ("seed", "experience_s", "stop_reason")}
+    new = {"experiment": "double_pendulum", "success_rate": 1.0, "trials": 1}
+    assert told == repeated | new
     path = tmp_path / "dynamics.pt"
     whole = torch.load(path, weights_only=True)
     inputs, noise = whole["train_inputs"], "gp.likelihood.noise_covar.raw_noise"

@@ -1,6 +1,4 @@
-"""Ours and cloning over the mass: each robot has its mass and its runs, and each number is at its
-place.
-"""
+"""Ours and cloning over the mass: each robot has its mass and its runs, each number its place."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from reproduction import masses
@@ -45,27 +44,23 @@ def test_robot_has_its_mass_and_all_else_of_the_double_pendulum(mass: float) -> 
     assert robot.settings == plain.settings
 
 
-def test_every_robot_has_a_folder_for_every_seed_and_the_plain_one_is_shared(
+def test_every_robot_has_a_folder_for_every_seed_and_goes_to_other_processes(
     tmp_path: Path,
 ) -> None:
+    """The runs of the plain one are shared."""
     runs, quick = needed_runs(tmp_path, False), needed_runs(tmp_path, True)
-    assert len({run.out for run in runs}) == len(runs) == len(SECOND_LINKS) * len(SEEDS)
-    assert {tmp_path / "double_pendulum" / f"seed_{seed}" for seed in SEEDS} < {
-        run.out for run in runs
-    }
+    folders = {run.out for run in runs}
+    assert len(folders) == len(runs) == len(SECOND_LINKS) * len(SEEDS)
+    assert {tmp_path / "double_pendulum" / f"seed_{seed}" for seed in SEEDS} < folders
     assert len(quick) == len(SECOND_LINKS)
-    assert [{run.learn.keywords["trials"] for run in some} for some in (runs, quick)] == [
-        {TRIALS},
-        {3},
-    ]
-
-
-def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
-    for run in needed_runs(tmp_path, False):
-        sent = pickle.loads(pickle.dumps(run))
-        assert mass_of(sent.learn.keywords["experiment"]) == mass_of(
-            run.learn.keywords["experiment"]
+    for some, trials in ((runs, TRIALS), (quick, 3)):
+        assert {run.learn.keywords["trials"] for run in some} == {trials}
+    for run in runs:
+        sent, meant = (
+            mass_of(one.learn.keywords["experiment"])
+            for one in (pickle.loads(pickle.dumps(run)), run)
         )
+        assert sent == meant
 
 
 def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,42 +71,36 @@ def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
         return {"success_rate": mass_of(robot) / int(folder.name[-1])}
 
     def load_learned(folder: Path, robot: Task) -> SimpleNamespace:
-        return SimpleNamespace(
-            rollouts=lambda robot, starts, seed: rollout_of(
-                torch.zeros(starts, 26, 4, dtype=torch.float64)
-            )
-        )
+        def rollouts(robot: Task, starts: int, seed: int) -> TensorDict:
+            return rollout_of(torch.zeros(starts, 26, 4, dtype=torch.float64))
 
-    monkeypatch.setattr(masses, "remeasured", remeasured)
-    monkeypatch.setattr(masses, "load_learned", load_learned)
-    monkeypatch.setattr(masses, "record_pairs", shipped_pairs)
-    monkeypatch.setattr(masses, "clone_double_pendulum", lambda states, torques: None)
-    monkeypatch.setattr(
-        masses, "measured_success", lambda policy, robot, starts, seed: 1 - mass_of(robot)
-    )
+        return SimpleNamespace(rollouts=rollouts)
+
+    stubs = {
+        "remeasured": remeasured,
+        "load_learned": load_learned,
+        "record_pairs": shipped_pairs,
+        "clone_double_pendulum": lambda states, torques: None,
+        "measured_success": lambda policy, robot, starts, seed: 1 - mass_of(robot),
+    }
+    for name, stub in stubs.items():
+        monkeypatch.setattr(masses, name, stub)
     folders = [Path(f"{mass}kg/seed_{seed}") for mass in SECOND_LINKS for seed in (1, 2)]
     made = results(folders, quick=True)
-    assert [f"{mass}kg" for _, mass, _ in measured] == [
-        folder.parent.name for folder, *_ in measured
-    ]
-    from_upright = shipped_demonstrations("double_pendulum").positions.mean(0)[1:] - torch.tensor(
-        [0.0, 0.5, 0.0, 1.0]
-    )
+    assert all(f"{mass}kg" == folder.parent.name for folder, mass, _ in measured)
+    shown = shipped_demonstrations("double_pendulum").positions.mean(0)[1:]
+    from_upright = shown - torch.tensor([0.0, 0.5, 0.0, 1.0])
     standing = from_upright.square().sum().div(2 * 25).sqrt().item()
     for mass in SECOND_LINKS:
         assert made.headline[f"ours_success_{mass:g}kg"] == pytest.approx(0.75 * mass)
         assert made.headline[f"ours_departure_m_{mass:g}kg"] == pytest.approx(standing)
         assert made.headline[f"cloning_success_{mass:g}kg"] == pytest.approx(1 - mass)
     peaks = [made.headline[f"peak_torque_{mass:g}kg"] for mass in SECOND_LINKS]
-    assert peaks == pytest.approx(
-        [max(column) for column in zip(*made.details["peak_torques"], strict=True)]
-    )
+    largest = map(max, zip(*made.details["peak_torques"], strict=True))
+    assert peaks == pytest.approx(list(largest))
     assert made.headline["torque_limit"] == 3.5
     upper, _ = made.figures["masses"].axes
-    assert [container.get_label() for container in upper.containers] == [
-        "ours",
-        "behavioural cloning",
-    ]
-    assert upper.containers[0].lines[0].get_ydata() == pytest.approx(
-        [75 * mass for mass in SECOND_LINKS]
-    )
+    labels = [container.get_label() for container in upper.containers]
+    assert labels == ["ours", "behavioural cloning"]
+    drawn = upper.containers[0].lines[0].get_ydata()
+    assert drawn == pytest.approx([75 * mass for mass in SECOND_LINKS])

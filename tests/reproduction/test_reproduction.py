@@ -1,6 +1,4 @@
-"""The frame of the reproduction: what is run, what is not run again, what is written, what is said
-of failures.
-"""
+"""The frame of the reproduction: what is run and not run again, what is written and said."""
 
 from __future__ import annotations
 
@@ -33,10 +31,8 @@ def fail(out: Path, command: str) -> None:
 
 
 def toy_runs(root: Path, quick: bool) -> list[Run]:
-    return [
-        Run(root / f"seed_{seed}", partial(learn_quickly, seed=seed))
-        for seed in range(1 if quick else 2)
-    ]
+    seeds = range(1 if quick else 2)
+    return [Run(root / f"seed_{seed}", partial(learn_quickly, seed=seed)) for seed in seeds]
 
 
 def toy_results(folders: Sequence[Path], quick: bool) -> Results:
@@ -48,16 +44,11 @@ TOY = PaperExperiment("toy", "nothing", toy_runs, toy_results)
 
 
 @pytest.fixture(autouse=True)
-def in_empty_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def one_process_in_an_empty_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joblib, "cpu_count", lambda: 1)
 
 
-@pytest.mark.usefixtures("one_process")
 def test_results_hold_headline_details_figures_and_where_all_comes_from() -> None:
     out, results = reproduce(TOY, False, COMMAND)
     assert (out, results.headline) == (Path("results/paper/toy"), {"runs": 2})
@@ -65,25 +56,19 @@ def test_results_hold_headline_details_figures_and_where_all_comes_from() -> Non
     assert {"date", "commit", "versions"} <= summary.keys()
     assert (summary["experiment"], summary["command"], summary["quick"]) == ("toy", COMMAND, False)
     assert (summary["headline"], summary["seeds"]) == ({"runs": 2}, [0, 1])
-    assert [(run["folder"], run["seed"], run["command"]) for run in summary["runs"]] == [
-        ("runs/seed_0", 0, COMMAND),
-        ("runs/seed_1", 1, COMMAND),
-    ]
+    runs = [(run["folder"], run["seed"], run["command"]) for run in summary["runs"]]
+    assert runs == [(f"runs/seed_{seed}", seed, COMMAND) for seed in (0, 1)]
     assert Path("results/paper/toy/empty.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.usefixtures("one_process")
 def test_a_quick_reproduction_touches_no_full_run_and_no_full_result() -> None:
     out, _ = reproduce(TOY, True, COMMAND)
     assert out == Path("results/quick/toy")
-    assert {str(path) for path in Path().rglob("summary.json")} == {
-        "results/quick/toy/summary.json",
-        "runs/quick/seed_0/summary.json",
-    }
+    left = sorted(str(path.parent) for path in Path().rglob("summary.json"))
+    assert left == ["results/quick/toy", "runs/quick/seed_0"]
     assert json.loads((out / "summary.json").read_text())["quick"] is True
 
 
-@pytest.mark.usefixtures("one_process")
 def test_finished_runs_are_not_run_again() -> None:
     reproduce(TOY, False, COMMAND)
     before = Path("runs/seed_0/summary.json").stat().st_mtime_ns
@@ -94,13 +79,9 @@ def test_finished_runs_are_not_run_again() -> None:
     assert json.loads(Path("runs/seed_1/summary.json").read_text())["command"] == "another"
 
 
-@pytest.mark.usefixtures("one_process")
 def test_failed_runs_are_named_after_the_others_were_run() -> None:
-    runs = [
-        Run(Path("runs/bad"), fail),
-        *toy_runs(Path("runs"), False),
-        Run(Path("runs/worse"), fail),
-    ]
+    bad, worse = Run(Path("runs/bad"), fail), Run(Path("runs/worse"), fail)
+    runs = [bad, *toy_runs(Path("runs"), False), worse]
     with pytest.raises(RunError) as error:
         finish(runs, COMMAND)
     assert str(error.value) == "runs/bad: no good; runs/worse: no good"
@@ -116,7 +97,6 @@ def test_runs_that_are_missing_are_learned_side_by_side(monkeypatch: pytest.Monk
     assert os.getpid() not in processes
 
 
-@pytest.mark.usefixtures("one_process")
 def test_our_own_runs_go_on_from_where_they_were_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple] = []
 
@@ -126,7 +106,6 @@ def test_our_own_runs_go_on_from_where_they_were_stopped(monkeypatch: pytest.Mon
         asked.append((experiment.name, *settings, resume))
 
     monkeypatch.setattr(reproduction, "train", train)
-    finish(
-        [learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3, trials=4)], COMMAND
-    )
+    task = load_experiment("double_pendulum")
+    finish([learning_run(Path("runs"), task, seed=3, trials=4)], COMMAND)
     assert asked == [("double_pendulum", 3, 4, Path("runs/double_pendulum/seed_3"), COMMAND, True)]

@@ -20,9 +20,8 @@ def test_step_time_errors_are_those_of_the_times_between_actions(draws: Draws) -
     period, steps = 0.1, 50
     overrun = draws.uniform(0.0, 0.003, steps, 1)
     delay = draws.uniform(0.0, 0.003, steps, 1)
-    readings = period * torch.arange(steps, dtype=torch.float64) + torch.cat(
-        [torch.zeros(1), overrun[:-1, 0]]
-    )
+    late = torch.cat([torch.zeros(1), overrun[:-1, 0]])
+    readings = period * torch.arange(steps, dtype=torch.float64) + late
     sent = readings + delay[:, 0]
     rollout = TensorDict({"next": {"delay": delay, "overrun": overrun}}, steps)
     expected = (sent.diff() - period).abs()

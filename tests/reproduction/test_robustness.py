@@ -1,6 +1,4 @@
-"""Robustness: what is varied is what the name says, the learner knows the start that it sees, and
-each number is at its place.
-"""
+"""Robustness: what the names say is varied, the start is known, each number is at its place."""
 
 from __future__ import annotations
 
@@ -50,18 +48,10 @@ def no_teacher(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("experiment", "std"),
     [
-        (with_start_std(0.05), (0.05, 0.1, 0.05, 0.1)),
-        (with_start_std(0.2), (0.2, 0.4, 0.2, 0.4)),
-        (with_noise(0.0), (0.05, 0.1, 0.05, 0.1)),
-        (
-            with_noise(0.05),
-            (
-                math.hypot(0.05, 0.05),
-                math.hypot(0.1, 0.5),
-                math.hypot(0.05, 0.05),
-                math.hypot(0.1, 0.5),
-            ),
-        ),
+        (with_start_std(0.05), (0.05, 0.1) * 2),
+        (with_start_std(0.2), (0.2, 0.4) * 2),
+        (with_noise(0.0), (0.05, 0.1) * 2),
+        (with_noise(0.05), (math.hypot(0.05, 0.05), math.hypot(0.1, 0.5)) * 2),
     ],
 )
 def test_start_belief_is_the_distribution_of_what_the_sensors_say_of_starts(
@@ -87,24 +77,16 @@ def test_demonstrations_are_nested_and_begin_with_those_of_the_package() -> None
 
 def test_plain_level_is_the_plain_experiment_and_all_others_differ_in_name() -> None:
     names = {
-        factor.name: [experiment.name for experiment in factor.experiments()] for factor in FACTORS
+        factor.name: [
+            experiment.name.removeprefix("double_pendulum") for experiment in factor.experiments()
+        ]
+        for factor in FACTORS
     }
+    counts = [f"_demonstrations_{count}" for count in (2, 3, 10)]
     assert names == {
-        "start": [
-            "double_pendulum",
-            "double_pendulum_start_0.1rad",
-            "double_pendulum_start_0.2rad",
-        ],
-        "noise": [
-            "double_pendulum",
-            *(f"double_pendulum_noise_{std}rad" for std in ("0.01", "0.02", "0.05")),
-        ],
-        "demonstrations": [
-            "double_pendulum_demonstrations_2",
-            "double_pendulum_demonstrations_3",
-            "double_pendulum",
-            "double_pendulum_demonstrations_10",
-        ],
+        "start": ["", "_start_0.1rad", "_start_0.2rad"],
+        "noise": ["", "_noise_0.01rad", "_noise_0.02rad", "_noise_0.05rad"],
+        "demonstrations": [*counts[:2], "", counts[2]],
     }
 
 
@@ -112,16 +94,15 @@ def test_every_experiment_is_learned_once_with_every_seed_in_another_process(
     tmp_path: Path,
 ) -> None:
     runs = needed_runs(tmp_path, False)
-    assert [run.out for run in runs] == [
-        tmp_path / name / f"seed_{seed}" for name in varied_experiments() for seed in SEEDS
-    ]
+    seeds = [tmp_path / name / f"seed_{seed}" for name in varied_experiments() for seed in SEEDS]
+    assert [run.out for run in runs] == seeds
     assert len(needed_runs(tmp_path, True)) == len(varied_experiments()) == 9
     for run in runs:
         sent, meant = (
-            kept.learn.keywords["experiment"] for kept in (pickle.loads(pickle.dumps(run)), run)
+            one.learn.keywords["experiment"].make_env(seed=3).reset()
+            for one in (pickle.loads(pickle.dumps(run)), run)
         )
-        starts = [experiment.make_env(seed=3).reset() for experiment in (sent, meant)]
-        assert (starts[0] == starts[1]).all()
+        assert (sent == meant).all()
 
 
 def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,25 +110,18 @@ def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def remeasured(folder: Path, experiment: Task, starts: int, seed: int) -> dict[str, object]:
         assert folder.parent.name == experiment.name
-        return {
-            "experiment": experiment.name,
-            "success_rate": names.index(experiment.name) / 10 + int(folder.name[-1]) / 100,
-        }
+        rate = names.index(experiment.name) / 10 + int(folder.name[-1]) / 100
+        return {"experiment": experiment.name, "success_rate": rate}
 
     monkeypatch.setattr(robustness, "remeasured", remeasured)
     made = results([Path(name, f"seed_{seed}") for name in names for seed in (0, 1)], quick=True)
     plain = load_experiment("double_pendulum").name
     for factor in FACTORS:
         for name, experiment in zip(factor.names(), factor.experiments(), strict=True):
-            assert made.headline[f"success_{name}"] == pytest.approx(
-                names.index(experiment.name) / 10 + 0.005
-            )
-    assert (
-        made.headline["success_start_0.05rad"]
-        == made.headline["success_noise_0rad"]
-        == made.headline["success_demonstrations_5"]
-    )
+            expected = names.index(experiment.name) / 10 + 0.005
+            assert made.headline[f"success_{name}"] == pytest.approx(expected)
+    plain_levels = "start_0.05rad", "noise_0rad", "demonstrations_5"
+    assert len({made.headline[f"success_{level}"] for level in plain_levels}) == 1
     assert sum(run["experiment"] == plain for run in made.details["measured"]) == 2
-    assert [panel.get_xlabel() for panel in made.figures["robustness"].axes] == [
-        factor.label for factor in FACTORS
-    ]
+    labels = [panel.get_xlabel() for panel in made.figures["robustness"].axes]
+    assert labels == [factor.label for factor in FACTORS]

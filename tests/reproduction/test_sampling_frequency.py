@@ -1,6 +1,4 @@
-"""Eq. 30: equals the dense formula, units do not matter where they must not, and a known best
-frequency is found.
-"""
+"""Eq. 30: the dense formula, units that do not matter, and a known best frequency."""
 
 from __future__ import annotations
 
@@ -30,14 +28,9 @@ WHITE = -0.5 * (1 + math.log(2 * math.pi))  # of a standard normal value, on ave
 
 
 def recording(seed: int, seconds: float = 6.0, noise: float = 0.0) -> Recording:
-    """A damped oscillator of about 1 Hz, driven by forces that are held for 0.1 s; its sensors may
-    be noisy.
-    """
-    draws = torch.Generator().manual_seed(seed)
-    count = round(seconds / TIME_STEP)
-    forces = (
-        20 * torch.randn(count // 10, 1, generator=draws, dtype=torch.float64)
-    ).repeat_interleave(10, 0)
+    """A damped oscillator of about 1 Hz, driven by forces held for 0.1 s, with noisy sensors."""
+    draws, count = Draws(seed), round(seconds / TIME_STEP)
+    forces = (20 * draws.normal(count // 10, 1)).repeat_interleave(10, 0)
     state, states = torch.zeros(2, dtype=torch.float64), []
     for force in [*forces, forces[-1]]:
         states.append(state)
@@ -45,11 +38,7 @@ def recording(seed: int, seconds: float = 6.0, noise: float = 0.0) -> Recording:
         dq = dq + TIME_STEP * (force[0] - 40 * q - 2 * dq)
         state = torch.stack([q + TIME_STEP * dq, dq])
     states = torch.stack(states)
-    return Recording(
-        states
-        + noise * states.std(0) * torch.randn(states.shape, generator=draws, dtype=torch.float64),
-        forces,
-    )
+    return Recording(states + noise * states.std(0) * draws.normal(*states.shape), forces)
 
 
 def dense(model: GPDynamics, inputs: Tensor, held: Tensor, targets: Tensor) -> list[float]:
@@ -59,27 +48,19 @@ def dense(model: GPDynamics, inputs: Tensor, held: Tensor, targets: Tensor) -> l
     signals = model.gp.covar_module.outputscale.detach().numpy()
     noises = model.gp.likelihood.noise.detach().numpy()[:, 0]
     values = []
+    x, y = inputs[held].numpy(), targets[held].numpy()
     for output, (lengthscale, signal, noise) in enumerate(
         zip(lengthscales, signals, noises, strict=True)
     ):
-
-        def kernel(
-            a: np.ndarray,
-            b: np.ndarray,
-            lengthscale: np.ndarray = lengthscale,
-            signal: float = signal,
-        ) -> np.ndarray:
-            return signal * np.exp(-0.5 * (((a[:, None] - b) / lengthscale) ** 2).sum(-1))
-
-        x = inputs[held].numpy()
-        inverse = np.linalg.inv(kernel(known, known) + noise * np.eye(len(known)))
-        cross = kernel(x, known)
-        mean = cross @ inverse @ seen[:, output]
-        cov = kernel(x, x) - cross @ inverse @ cross.T + noise * np.eye(len(x))
-        values.append(
-            stats.multivariate_normal(mean, (cov + cov.T) / 2).logpdf(targets[held, output].numpy())
-            / len(x)
+        known_known, cross, held_held = (
+            signal * np.exp(-0.5 * (((a[:, None] - b) / lengthscale) ** 2).sum(-1))
+            for a, b in ((known, known), (x, known), (x, x))
         )
+        inverse = np.linalg.inv(known_known + noise * np.eye(len(known)))
+        mean = cross @ inverse @ seen[:, output]
+        cov = held_held - cross @ inverse @ cross.T + noise * np.eye(len(x))
+        normal = stats.multivariate_normal(mean, (cov + cov.T) / 2)
+        values.append(normal.logpdf(y[:, output]) / len(x))
     return values
 
 
@@ -99,28 +80,22 @@ def test_held_out_likelihood_is_that_of_the_dense_formula_and_of_the_forward_mod
 def test_errors_that_go_together_are_counted_together(draws: Draws) -> None:
     inputs = torch.linspace(0, 10, 60, dtype=torch.float64)[:, None]
     targets = (0.7 * inputs).sin() + 1e-3 * draws.normal(60, 1)
-    joint = held_out_log_likelihood(inputs, targets)[
-        0
-    ]  # a fold beyond the data, where the errors are smooth
+    # a fold beyond the data, where the errors are smooth
+    joint = held_out_log_likelihood(inputs, targets)[0]
     model = GPDynamics(num_inputs=1, num_outputs=1)
     model.fit(inputs[12:], targets[12:])
     mean, variance = model.expansion.predict(inputs[:12])
-    alone = (
-        torch.distributions.Normal(mean, (variance + model.gp.likelihood.noise[:, 0]).sqrt())
-        .log_prob(targets[:12])
-        .mean()
-    )
-    assert joint > alone + 1
+    std = (variance + model.gp.likelihood.noise[:, 0]).sqrt()
+    alone = torch.distributions.Normal(mean, std).log_prob(targets[:12])
+    assert joint > alone.mean() + 1
 
 
-def test_standardised_form_does_not_depend_on_units_and_raw_form_shifts_by_their_logarithm() -> (
-    None
-):
+def test_standardised_form_has_no_units_and_raw_form_shifts_by_their_logarithm() -> None:
     units = torch.tensor([1000.0, 0.01], dtype=torch.float64)
     states, actions = recording(0)
-    (score,) = score_frequencies([Recording(states, actions)], TIME_STEP, [10.0], SPACE)
-    (scaled,) = score_frequencies(
-        [Recording(units * states, 50 * actions)], TIME_STEP, [10.0], SPACE
+    score, scaled = (
+        score_frequencies([one], TIME_STEP, [10.0], SPACE)[0]
+        for one in (Recording(states, actions), Recording(units * states, 50 * actions))
     )
     assert scaled.standardised.mean == pytest.approx(score.standardised.mean, abs=0.02)
     assert scaled.raw.mean == pytest.approx(score.raw.mean - units.log().mean().item(), abs=0.02)
@@ -128,17 +103,15 @@ def test_standardised_form_does_not_depend_on_units_and_raw_form_shifts_by_their
 
 def test_nothing_to_learn_scores_as_white_noise(draws: Draws) -> None:
     targets = draws.normal(200, 2)
-    score = FrequencyScore(
-        10.0, 200, held_out_log_likelihood(draws.normal(200, 2), targets), targets.std(0)
-    )
+    values = held_out_log_likelihood(draws.normal(200, 2), targets)
+    score = FrequencyScore(10.0, 200, values, targets.std(0))
     assert score.standardised.mean == pytest.approx(WHITE, abs=0.1)
 
 
 def test_held_forces_are_best_sampled_when_they_change_and_raw_form_keeps_rising() -> None:
     frequencies = [2.0, 5.0, 10.0, 25.0, 50.0]
-    scores = score_frequencies(
-        [recording(seed, 2.0, noise=0.005) for seed in range(3)], TIME_STEP, frequencies, SPACE
-    )
+    recordings = [recording(seed, 2.0, noise=0.005) for seed in range(3)]
+    scores = score_frequencies(recordings, TIME_STEP, frequencies, SPACE)
     standardised = [score.standardised.mean for score in scores]
     assert frequencies[int(np.argmax(standardised))] == 10.0
     assert scores[-1].raw.mean > scores[0].raw.mean
@@ -174,7 +147,5 @@ def test_interval_is_the_t_interval_over_the_folds(draws: Draws) -> None:
         (score.standardised, (values + spread.log()).mean(1)),
     ):
         low, high = stats.t.interval(0.95, 4, loc=of_folds.mean(), scale=stats.sem(of_folds))
-        assert (
-            interval.mean - interval.half_width,
-            interval.mean + interval.half_width,
-        ) == pytest.approx((low, high))
+        ends = [interval.mean + sign * interval.half_width for sign in (-1, 1)]
+        assert ends == pytest.approx([low, high])

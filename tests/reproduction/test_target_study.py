@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from reproduction.reaching import PLACES
 from reproduction.target_study import METHODS, TargetStudy, inside_triangle, read_measurement
 from reproduction.teachers import reaching
 from tests.helpers.short_run import quick_fits, short_experiment
+from tests.helpers.summaries import leave_summary
 from torch_pmil.envs import hitting_plane
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.search.policy_search import SearchSettings
@@ -31,18 +31,13 @@ def write(folder: Path, training: list[float], joint: list[float], **changes: ob
         for name in METHODS
     }
     run = {
-        "seed": 0,
         "experience_s": 20.0,
         "trials": [{"loss": 9.0}] * 4,
         "learning_seconds": 100.0,
+        "training": {"success": training, "value": [0.1] * 3},
+        "grid": grid,
     }
-    folder.mkdir()
-    (folder / "summary.json").write_text(
-        json.dumps(
-            {**run, "training": {"success": training, "value": [0.1] * 3}, "grid": grid, **changes}
-        )
-    )
-    return folder
+    return leave_summary(folder, **run | changes)
 
 
 def test_grids_are_those_of_the_robots() -> None:
@@ -60,14 +55,19 @@ def test_report_counts_grid_points_that_most_starts_reach(tmp_path: Path) -> Non
         write(tmp_path / "b", [1.0] * 3, [1.0] * G, experience_s=30.0),
     ]
     headline = BALLS.results(folders).headline
-    assert headline["training_success_rate"] == pytest.approx(5.9 / 6)
-    assert headline["worst_training_success_rate"] == 0.9
-    assert headline["grid_fraction"] == pytest.approx((10 + 35) / 70)
-    assert headline["least_grid_fraction"] == pytest.approx(10 / 35)
-    assert headline["triangle_fraction"] == 1.0
-    assert headline["grid_success_rate"] == pytest.approx((9 + 1.1 + 35) / 70)
-    assert headline["blended_grid_fraction"] == headline["nearest_triangle_fraction"] == 0.0
-    assert (headline["max_trials"], headline["max_experience_s"]) == (4, 30.0)
+    expected = {
+        "training_success_rate": 5.9 / 6,
+        "worst_training_success_rate": 0.9,
+        "grid_fraction": (10 + 35) / 70,
+        "least_grid_fraction": 10 / 35,
+        "triangle_fraction": 1.0,
+        "grid_success_rate": (9 + 1.1 + 35) / 70,
+        "blended_grid_fraction": 0.0,
+        "nearest_triangle_fraction": 0.0,
+        "max_trials": 4,
+        "max_experience_s": 30.0,
+    }
+    assert {name: headline[name] for name in expected} == pytest.approx(expected)
 
 
 def test_measurement_of_something_else_is_an_error(tmp_path: Path) -> None:
@@ -93,14 +93,14 @@ def test_short_study_learns_measures_and_goes_on(
     (run,) = study.needed_runs(tmp_path)
     assert run.out == tmp_path / study.name / "seed_0"
     run.learn(run.out, "python scripts/reproduce.py")
-    assert (tmp_path / experiment / "seed_0" / "summary.json").exists()
-    learned = (tmp_path / experiment / "seed_0" / "policy.pt").read_bytes()
+    learned = tmp_path / experiment / "seed_0"
+    assert (learned / "summary.json").exists()
+    policy = (learned / "policy.pt").read_bytes()
     run.learn(run.out, "python scripts/reproduce.py")
-    assert (tmp_path / experiment / "seed_0" / "policy.pt").read_bytes() == learned
+    assert (learned / "policy.pt").read_bytes() == policy
     measured = read_measurement(run.out)
-    assert (
-        len(measured["training"]["success"]) == 3 and len(measured["grid"]["blended"]["value"]) == G
-    )
+    assert len(measured["training"]["success"]) == 3
+    assert len(measured["grid"]["blended"]["value"]) == G
     results = study.results([run.out], picture=np.zeros((60, 80, 3), dtype=np.uint8))
     assert list(results.figures) == [study.name]
     assert results.headline["training_success_rate"] == 0.0  # in 0.4 s nothing is reached
@@ -109,13 +109,10 @@ def test_short_study_learns_measures_and_goes_on(
 def test_narrow_functions_are_reported_beside_the_wide_ones(tmp_path: Path) -> None:
     runs = reaching_study.needed_runs(tmp_path, quick=True)
     assert [run.out.parent.name for run in runs] == ["reaching", "reaching_narrow"]
-    assert (
-        reaching_study.narrow().target_scale < reaching_study.double_pendulum_targets().target_scale
-    )
-    folders = [
-        write(tmp_path / "wide", [1.0] * 3, [1.0] * G),
-        write(tmp_path / "narrow", [1.0] * 3, [0.0] * G),
-    ]
+    narrow, wide = reaching_study.narrow(), reaching_study.double_pendulum_targets()
+    assert narrow.target_scale < wide.target_scale
+    reached = {"wide": [1.0] * G, "narrow": [0.0] * G}
+    folders = [write(tmp_path / name, [1.0] * 3, grid) for name, grid in reached.items()]
     headline = reaching_study.results(folders, quick=True).headline
     assert (headline["grid_fraction"], headline["narrow_grid_fraction"]) == (1.0, 0.0)
 

@@ -9,14 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from reproduction.failure_causes import (
-    CAUSES,
-    ENDS,
-    ReplayedTrial,
-    cause_of,
-    end_of,
-    trials_not_needed,
-)
+from reproduction import failure_causes
+from reproduction.failure_causes import CAUSES, ENDS, ReplayedTrial, cause_of, end_of
 from reproduction.handwriting import left_out_ratios
 from reproduction.replay import replayed
 from reproduction.replayed_runs import ReplayedRun, counts, coverage_ahead, reliability, tables
@@ -42,6 +36,7 @@ RIGHT = ReplayedTrial(
     spread_share=None,
     coverage_ahead={"1": 0.95},
 )
+NO_CAUSE = dict.fromkeys(CAUSES, 0)
 STUCK = replace(RIGHT, complete=False, predicted_before=0.0, success_rate=0.0, spread_share=0.1)
 
 
@@ -78,20 +73,15 @@ def test_each_failure_has_the_first_cause_that_applies(
 
 
 def test_a_run_ends_learned_by_luck_or_at_the_limit() -> None:
-    found = [
-        end_of(0.95, 0.1, LUCK),
-        end_of(0.9, 0.94, LUCK),
-        end_of(0.9, 0.95, LUCK),
-        end_of(0.9, 0.95, "limit of trials"),
-    ]
-    assert tuple(found) == ENDS
+    rates = (0.95, 0.1, LUCK), (0.9, 0.94, LUCK), (0.9, 0.95, LUCK), (0.9, 0.95, "limit of trials")
+    assert tuple(end_of(*one) for one in rates) == ENDS
 
 
 def test_trials_after_a_success_that_the_model_promises_to_repeat_are_not_needed() -> None:
     sure = replace(RIGHT, predicted_after=0.95)
     trials = [RIGHT, replace(sure, own_success=False), sure, RIGHT, sure]
-    assert trials_not_needed(replayed_run(*trials).trials) == 2
-    assert trials_not_needed(replayed_run(RIGHT, RIGHT).trials) == 0
+    assert failure_causes.trials_not_needed(replayed_run(*trials).trials) == 2
+    assert failure_causes.trials_not_needed(replayed_run(RIGHT, RIGHT).trials) == 0
 
 
 def test_all_failures_are_counted_once_and_those_after_a_success_apart() -> None:
@@ -100,28 +90,16 @@ def test_all_failures_are_counted_once_and_those_after_a_success_apart() -> None
         replayed_run(failed, RIGHT, RIGHT, learned),
         replayed_run(failed, saved_success_rate=0.0, stop_reason="limit of trials"),
     ]
-    found = counts(runs)
-    assert {k: n for k, n in found["causes"].items() if n} == {
-        "search stopped early": 2,
-        "criterion asks for more": 2,
+    assert counts(runs) == {
+        "causes": NO_CAUSE | {"search stopped early": 2, "criterion asks for more": 2},
+        "causes_after_success": NO_CAUSE | {"criterion asks for more": 1},
+        "ends": dict.fromkeys(ENDS, 0) | {"learned": 1, "limit of trials": 1},
+        "totals": {
+            **{"runs": 2, "runs_not_learned": 1, "trials": 5, "trials_failed": 4},
+            **{"runs_ended_by_luck": 0, "runs_ended_by_luck_known": 0},
+            **{"trials_wrong_one_step": 0, "trials_not_needed": 0},
+        },
     }
-    assert {k: n for k, n in found["causes_after_success"].items() if n} == {
-        "criterion asks for more": 1
-    }
-    assert {k: n for k, n in found["ends"].items() if n} == {"learned": 1, "limit of trials": 1}
-    assert found["totals"] == {
-        "runs": 2,
-        "runs_not_learned": 1,
-        "runs_ended_by_luck": 0,
-        "runs_ended_by_luck_known": 0,
-        "trials": 5,
-        "trials_failed": 4,
-        "trials_wrong_one_step": 0,
-        "trials_not_needed": 0,
-    }
-
-
-def test_unsure_models_that_are_wrong_one_step_ahead_are_counted() -> None:
     vague, wrong = replace(STUCK, spread_share=0.9), replace(STUCK, covered=0.7)
     totals = counts([replayed_run(vague, wrong, replace(RIGHT, covered=0.7))])["totals"]
     assert totals["trials_wrong_one_step"] == 1
@@ -149,9 +127,8 @@ def test_coverage_is_told_up_to_the_first_success_and_after() -> None:
 def test_tables_have_each_task_and_all() -> None:
     hit, written = replayed_run(RIGHT), replace(replayed_run(RIGHT, RIGHT), task="handwriting")
     found = tables([hit, written])
-    assert (
-        list(found["counts"]) == list(found["coverage_ahead"]) == ["BioRob", "handwriting", "all"]
-    )
+    for numbers in ("counts", "coverage_ahead"):
+        assert list(found[numbers]) == ["BioRob", "handwriting", "all"]
     assert [counted["totals"]["trials"] for counted in found["counts"].values()] == [1, 2, 3]
 
 

@@ -25,11 +25,13 @@ def states_near_upright(draws: Draws, count: int) -> Tensor:
     return draws.uniform(-1.0, 1.0, count, 4)
 
 
-def test_clone_acts_as_the_demonstrator_where_it_was_not_seen(draws: Draws) -> None:
+def test_clone_acts_as_the_demonstrator_where_it_was_not_seen_and_on_robots(draws: Draws) -> None:
     states, others = states_near_upright(draws, 150), states_near_upright(draws, 50)
     policy = clone_behavior(states, demonstrator(states), SPACE, U_MAX, 0.1)
     assert (policy(others) - demonstrator(others)).abs().max() < 0.1
     assert policy.control_period == 0.1
+    rollout = DoublePendulumEnv(num_envs=3, seed=0).rollout(2, policy.as_tensordict_module())
+    torch.testing.assert_close(rollout["action"], policy(rollout["observation"]))
 
 
 def test_clone_is_the_squashed_mean_of_a_gp(draws: Draws) -> None:
@@ -38,9 +40,8 @@ def test_clone_is_the_squashed_mean_of_a_gp(draws: Draws) -> None:
     gp = GPDynamics(6, 2)
     gp.fit(SPACE.features(states), torch.asin(torques / U_MAX))
     expected = U_MAX * gp.expansion.mean(SPACE.features(others)).sin()
-    torch.testing.assert_close(
-        clone_behavior(states, torques, SPACE, U_MAX, 0.1)(others), expected, rtol=0, atol=1e-10
-    )
+    policy = clone_behavior(states, torques, SPACE, U_MAX, 0.1)
+    torch.testing.assert_close(policy(others), expected, rtol=0, atol=1e-10)
 
 
 def test_noise_of_the_torques_is_averaged_out(draws: Draws) -> None:
@@ -64,39 +65,18 @@ def test_torques_at_their_limit_are_learned_and_never_exceeded(draws: Draws) -> 
     assert policy(torch.tensor([0.8, 0.0, 0.0, 0.0]))[0] > 0.8 * U_MAX[0]
 
 
-def test_clone_runs_on_robots(draws: Draws) -> None:
-    states = states_near_upright(draws, 20)
-    policy = clone_behavior(states, demonstrator(states), SPACE, U_MAX, 0.1)
-    rollout = DoublePendulumEnv(num_envs=3, seed=0).rollout(2, policy.as_tensordict_module())
-    torch.testing.assert_close(rollout["action"], policy(rollout["observation"]))
-
-
 @pytest.mark.parametrize(
     ("states", "torques", "complaint"),
     [
-        (
-            torch.zeros(5, 3),
-            torch.zeros(5, 2),
-            r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 3\) and \(5, 2\)",
-        ),
-        (
-            torch.zeros(5, 4),
-            torch.zeros(4, 2),
-            r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 4\) and \(4, 2\)",
-        ),
-        (
-            torch.zeros(5, 4),
-            torch.full((5, 2), 3.0),
-            r"torques must be finite and within ± \[3.5, 2.0\] N·m, got \[3.0, 3.0\]",
-        ),
-        (
-            torch.zeros(5, 4),
-            torch.full((5, 2), torch.nan),
-            r"torques must be finite and within .* got \[nan, nan\]",
-        ),
-        (torch.full((5, 4), torch.nan), torch.zeros(5, 2), "inputs must be finite, got nan"),
+        ((5, 3, 0.0), (5, 2, 0.0), r"be \(S, 4\) and torques \(S, 2\), got \(5, 3\) and \(5, 2\)"),
+        ((5, 4, 0.0), (4, 2, 0.0), r"be \(S, 4\) and torques \(S, 2\), got \(5, 4\) and \(4, 2\)"),
+        ((5, 4, 0.0), (5, 2, 3.0), r"finite and within ± \[3.5, 2.0\] N·m, got \[3.0, 3.0\]"),
+        ((5, 4, 0.0), (5, 2, torch.nan), r"torques must be finite and within .* got \[nan, nan\]"),
+        ((5, 4, torch.nan), (5, 2, 0.0), "inputs must be finite, got nan"),
     ],
 )
-def test_bad_pairs_are_refused(states: Tensor, torques: Tensor, complaint: str) -> None:
+def test_bad_pairs_are_refused(states: tuple, torques: tuple, complaint: str) -> None:
+    """Given by their shapes and the value of all entries."""
+    given = (torch.full(shape, value) for *shape, value in (states, torques))
     with pytest.raises(ValueError, match=complaint):
-        clone_behavior(states, torques, SPACE, U_MAX, 0.1)
+        clone_behavior(*given, SPACE, U_MAX, 0.1)

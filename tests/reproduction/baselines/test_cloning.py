@@ -1,17 +1,11 @@
-"""Recorded torques: those of the shipped demonstrations, cloned where they were recorded, and what
-other masses would need.
-"""
+"""Recorded torques: cloned where they were recorded, and what other masses would need."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from reproduction.baselines.cloning import (
-    clone_double_pendulum,
-    peak_tracking_torques,
-    record_pairs,
-)
+from reproduction.baselines import cloning
 from reproduction.learned import measured_success
 from reproduction.masses import with_second_link
 from tests.helpers.draws import Draws
@@ -26,22 +20,17 @@ def test_peak_at_the_demonstrated_mass_is_of_the_applied_torques_and_grows_with_
     states = [env.reset()["observation"]]
     for step in range(3):
         states.append(env.simulate(states[-1], torques[:, step]))
-    peaks = peak_tracking_torques(torch.stack(states, 1), torques, (0.5, 1.0, 2.0))
+    peaks = cloning.peak_tracking_torques(torch.stack(states, 1), torques, (0.5, 1.0, 2.0))
     torch.testing.assert_close(peaks[:, 0], torques.abs().amax((1, 2)), rtol=0, atol=1e-9)
     assert (peaks[:, 2] > peaks[:, 1]).all()
 
 
 @pytest.mark.slow
 def test_seed_0_is_the_shipped_demonstrations_and_its_clone_swings_up_where_it_learned() -> None:
-    states, torques = next(record_pairs([0]))
-    torch.testing.assert_close(
-        link_positions(states),
-        shipped_demonstrations("double_pendulum").positions,
-        rtol=0,
-        atol=1e-6,
-    )
-    clone = clone_double_pendulum(states, torques)
-    rates = [
-        measured_success(clone, with_second_link(mass), starts=20, seed=1) for mass in (0.5, 1.0)
-    ]
+    states, torques = next(cloning.record_pairs([0]))
+    shipped = shipped_demonstrations("double_pendulum").positions
+    torch.testing.assert_close(link_positions(states), shipped, rtol=0, atol=1e-6)
+    clone = cloning.clone_double_pendulum(states, torques)
+    robots = with_second_link(0.5), with_second_link(1.0)
+    rates = [measured_success(clone, robot, starts=20, seed=1) for robot in robots]
     assert rates == [pytest.approx(1.0, abs=0.1), 0.0]

@@ -1,6 +1,4 @@
-"""Movement primitives: laws of the spring-damper, and the package ``movement_primitives`` as an
-independent implementation.
-"""
+"""Movement primitives: laws of the spring-damper, and an independent implementation."""
 
 from __future__ import annotations
 
@@ -35,37 +33,29 @@ def demonstration(times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def learned(num_basis: int = 30, samples: int = 26) -> DMP:
     times = torch.linspace(0, DURATION, samples, dtype=torch.float64)
-    return DMP.from_demonstrations(
-        demonstration(times)[0][None], DURATION / (samples - 1), num_basis
-    )
+    shown = demonstration(times)[0][None]
+    return DMP.from_demonstrations(shown, DURATION / (samples - 1), num_basis)
 
 
 @pytest.fixture
 def random_dmp(draws: Draws) -> DMP:
-    return DMP(
-        draws.normal(3), draws.normal(3), draws.normal(3), 100 * draws.normal(12, 3), DURATION
-    )
+    start, goal, rate = (draws.normal(3) for _ in range(3))
+    return DMP(start, goal, rate, 100 * draws.normal(12, 3), DURATION)
 
 
 def test_demonstration_is_reproduced_with_its_velocity_and_acceleration() -> None:
-    motion = learned(num_basis=60, samples=251)(TIMES)
-    for reproduced, demonstrated, tolerance in zip(
-        motion, demonstration(TIMES), (1e-4, 1e-3, 1e-2), strict=True
-    ):
+    motion, shown = learned(num_basis=60, samples=251)(TIMES), demonstration(TIMES)
+    for reproduced, demonstrated, tolerance in zip(motion, shown, (1e-4, 1e-3, 1e-2), strict=True):
         assert (reproduced - demonstrated).abs().max() < tolerance * demonstrated.abs().max()
-
-
-def test_few_samples_are_reproduced_at_their_times() -> None:
+    # few samples, at their times
     torch.testing.assert_close(learned()(TIMES)[0], demonstration(TIMES)[0], atol=5e-3, rtol=0)
 
 
 def test_several_demonstrations_give_their_mean(draws: Draws) -> None:
     both = torch.stack([demonstration(TIMES)[0], draws.normal(1, 2) + 2 * demonstration(TIMES)[0]])
-    together, mean = (
-        DMP.from_demonstrations(positions, 0.1, 20)
-        for positions in (both, both.mean(0, keepdim=True))
-    )
-    torch.testing.assert_close(together(TIMES)[0], mean(TIMES)[0])
+    given = both, both.mean(0, keepdim=True)
+    together, mean = (DMP.from_demonstrations(shown, 0.1, 20)(TIMES)[0] for shown in given)
+    torch.testing.assert_close(together, mean)
 
 
 def test_motion_solves_its_differential_equation(random_dmp: DMP) -> None:
@@ -78,14 +68,12 @@ def test_motion_solves_its_differential_equation(random_dmp: DMP) -> None:
         x = math.exp(-4.605170185988091 * t / DURATION)
         psi = np.exp(-widths * (x - centres) ** 2)
         y, dy = state[:3], state[3:]
-        return np.append(
-            dy, (25 * (6.25 * (goal - y) - DURATION * dy) + x * (psi @ w) / psi.sum()) / DURATION**2
-        )
+        spring, force = 25 * (6.25 * (goal - y) - DURATION * dy), x * (psi @ w) / psi.sum()
+        return np.append(dy, (spring + force) / DURATION**2)
 
     start = np.append(random_dmp.start, random_dmp.start_rate / DURATION)
-    solution = solve_ivp(
-        equation, (0, DURATION), start, "DOP853", TIMES.numpy(), rtol=1e-12, atol=1e-12
-    ).y.T
+    given = equation, (0, DURATION), start, "DOP853", TIMES.numpy()
+    solution = solve_ivp(*given, rtol=1e-12, atol=1e-12).y.T
     y, dy, ddy = random_dmp(TIMES)
     np.testing.assert_allclose(torch.cat([y, dy], -1), solution, atol=1e-9)
     np.testing.assert_allclose(ddy[7], equation(TIMES[7].item(), solution[7])[3:], atol=1e-8)
@@ -95,18 +83,14 @@ def test_velocity_and_acceleration_are_derivatives_of_the_position(random_dmp: D
     times, step = TIMES[1:], 1e-4
     before, here, after = (random_dmp(times + shift) for shift in (-step, 0.0, step))
     for order in (0, 1):
-        torch.testing.assert_close(
-            (after[order] - before[order]) / (2 * step), here[order + 1], atol=1e-4, rtol=1e-5
-        )
+        slope = (after[order] - before[order]) / (2 * step)
+        torch.testing.assert_close(slope, here[order + 1], atol=1e-4, rtol=1e-5)
 
 
-def test_it_starts_where_and_as_fast_as_told(random_dmp: DMP) -> None:
+def test_it_starts_as_given_and_converges_to_the_goal_whatever_the_weights(random_dmp: DMP) -> None:
     y, dy, _ = random_dmp(torch.zeros(1))
     torch.testing.assert_close(y[0], random_dmp.start)
     torch.testing.assert_close(dy[0], random_dmp.start_rate / DURATION)
-
-
-def test_it_converges_to_the_goal_and_rests_whatever_the_weights(random_dmp: DMP) -> None:
     y, dy, ddy = random_dmp(torch.tensor([6 * DURATION]))
     torch.testing.assert_close(y[0], random_dmp.goal, atol=1e-8, rtol=0)
     assert max(dy.abs().max(), ddy.abs().max()) < 1e-8
@@ -118,28 +102,25 @@ def test_twice_the_duration_is_the_same_motion_at_half_the_speed(random_dmp: DMP
         torch.testing.assert_close(slow[order] * 2**order, fast[order])
 
 
-def test_another_goal_draws_the_motion_there_like_a_critically_damped_spring(
+def test_another_goal_draws_the_motion_there_and_another_start_with_it_moves_all(
     random_dmp: DMP, draws: Draws
 ) -> None:
-    shift = draws.normal(3)
-    moved = replace(random_dmp, goal=random_dmp.goal + shift)(TIMES)[0] - random_dmp(TIMES)[0]
+    """To a goal alone it is drawn like a critically damped spring."""
+    shift, motion = draws.normal(3), random_dmp(TIMES)[0]
+    drawn = replace(random_dmp, goal=random_dmp.goal + shift)
     u = 12.5 * TIMES[:, None] / DURATION
-    torch.testing.assert_close(moved, shift * (1 - (1 + u) * torch.exp(-u)))
-
-
-def test_moving_start_and_goal_moves_the_motion(random_dmp: DMP, draws: Draws) -> None:
-    shift = draws.normal(3)
-    moved = replace(random_dmp, start=random_dmp.start + shift, goal=random_dmp.goal + shift)
-    torch.testing.assert_close(moved(TIMES)[0], random_dmp(TIMES)[0] + shift)
+    expected = shift * (1 - (1 + u) * torch.exp(-u))
+    torch.testing.assert_close(drawn(TIMES)[0] - motion, expected)
+    moved = replace(drawn, start=random_dmp.start + shift)
+    torch.testing.assert_close(moved(TIMES)[0], motion + shift)
 
 
 def test_motion_is_differentiable_in_the_weights(random_dmp: DMP) -> None:
     def motion(weights: Tensor) -> tuple[Tensor, ...]:
         return replace(random_dmp, weights=weights)(TIMES[::12])
 
-    assert torch.autograd.gradcheck(
-        motion, random_dmp.weights.clone().requires_grad_(), fast_mode=True
-    )
+    weights = random_dmp.weights.clone().requires_grad_()
+    assert torch.autograd.gradcheck(motion, weights, fast_mode=True)
 
 
 def test_times_may_come_in_any_order(random_dmp: DMP) -> None:
@@ -169,9 +150,8 @@ def test_motion_is_that_of_movement_primitives(random_dmp: DMP) -> None:
 def test_what_is_learned_is_what_movement_primitives_learns() -> None:
     times = torch.linspace(0, DURATION, 2501, dtype=torch.float64)
     u = times[:, None] / DURATION
-    positions = (10 * u**3 - 15 * u**4 + 6 * u**5) * torch.tensor([3.0, -1.0]) + (
-        u * (1 - u)
-    ) ** 2 * (10 * u).sin()
+    smooth, bump = 10 * u**3 - 15 * u**4 + 6 * u**5, (u * (1 - u)) ** 2
+    positions = smooth * torch.tensor([3.0, -1.0]) + bump * (10 * u).sin()
     oracle = other_package(2, 30, dt=1e-3)
     oracle.imitate(times.numpy(), positions.numpy())
     ours = DMP.from_demonstrations(positions[None], 1e-3, 30)(times[::100])[0]

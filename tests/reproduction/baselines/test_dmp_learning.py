@@ -1,6 +1,4 @@
-"""The robot's rollouts as experience of the inverse model, and what the primitive asks of the
-robot.
-"""
+"""Rollouts as experience of the inverse model, and what the primitive asks of the robot."""
 
 from __future__ import annotations
 
@@ -34,13 +32,8 @@ def dmp(draws: Draws) -> DMP:
 
 @pytest.fixture
 def learner(dmp: DMP) -> InverseDynamicsLearner:
-    return InverseDynamicsLearner(
-        double_pendulum_space(),
-        dmp_reference(dmp, STEPS, 0.1, HOLD),
-        U_MAX,
-        NO_LIMITS,
-        time_step=0.1,
-    )
+    reference = dmp_reference(dmp, STEPS, 0.1, HOLD)
+    return InverseDynamicsLearner(double_pendulum_space(), reference, U_MAX, NO_LIMITS, 0.1)
 
 
 def motion(draws: Draws) -> Motion:
@@ -51,18 +44,15 @@ def test_reference_is_the_primitives_motion(dmp: DMP) -> None:
     reference = dmp_reference(dmp, STEPS, 0.1, HOLD)
     y, dy, ddy = dmp(torch.tensor([0.12, 0.3], dtype=torch.float64))
     assert reference.hold == HOLD
-    torch.testing.assert_close(
-        reference.states[6], torch.stack([y[0, 0], dy[0, 0], y[0, 1], dy[0, 1]])
-    )
+    torch.testing.assert_close(reference.states[6], torch.stack([y[0], dy[0]], -1).flatten())
     torch.testing.assert_close(reference.accelerations[3], ddy[1])
     assert len(reference.states) == STEPS * HOLD + 1 and len(reference.accelerations) == STEPS + 1
 
 
 def test_random_torques_are_held_for_a_control_step_within_their_part_of_the_limits() -> None:
     controller = random_torques(U_MAX, 0.4, HOLD, torch.Generator().manual_seed(0))
-    torques = torch.stack(
-        [controller(step, torch.zeros(4)) for step in range(200 * HOLD)]
-    ).unflatten(0, (200, HOLD))
+    each = [controller(step, torch.zeros(4)) for step in range(200 * HOLD)]
+    torques = torch.stack(each).unflatten(0, (200, HOLD))
     assert (torques == torques[:, :1]).all() and len(torques[:, 0].unique(dim=0)) == 200
     assert 1.3 < torques.abs().max() <= 0.4 * 3.5
 
@@ -71,36 +61,18 @@ def test_held_torques_move_the_robot_as_one_control_step_does() -> None:
     motions = []
     for hold in (1, HOLD):
         torques = random_torques(U_MAX, 0.4, hold, torch.Generator().manual_seed(0))
-        motions.append(
-            execute(DoublePendulumEnv(control_period=0.1 / hold, seed=0), torques, STEPS, hold)
-        )
+        env = DoublePendulumEnv(control_period=0.1 / hold, seed=0)
+        motions.append(execute(env, torques, STEPS, hold))
     torch.testing.assert_close(motions[0].states, motions[1].states)
     torch.testing.assert_close(motions[0].torques, motions[1].torques)
 
 
 def test_torques_of_a_motion_are_means_over_control_steps() -> None:
-    ramp = execute(
-        DoublePendulumEnv(control_period=0.02, num_envs=3, seed=0),
-        lambda step, x: 0.01 * step * torch.ones(3, 2).double(),
-        STEPS,
-        HOLD,
-    )
+    env = DoublePendulumEnv(control_period=0.02, num_envs=3, seed=0)
+    ramp = execute(env, lambda step, x: 0.01 * step * torch.ones(3, 2).double(), STEPS, HOLD)
     assert ramp.states.shape == (3, STEPS + 1, 4)
-    torch.testing.assert_close(
-        ramp.torques[1, :, 0], 0.01 * torch.tensor([2.0, 7.0, 12.0, 17.0], dtype=torch.float64)
-    )
-
-
-def test_model_is_learned_from_all_motions_in_their_order(
-    learner: InverseDynamicsLearner, draws: Draws, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    quick_fits(monkeypatch)
-    for _ in range(3):
-        learner.add(motion(draws))
-    assert learner.experience_s == pytest.approx(3 * STEPS * 0.1)
-    learner.fit()
-    torques = torch.cat([past.torques for past in learner.experience])
-    torch.testing.assert_close(learner.inverse.gp.train_targets, torques)
+    expected = 0.01 * torch.tensor([2.0, 7.0, 12.0, 17.0], dtype=torch.float64)
+    torch.testing.assert_close(ramp.torques[1, :, 0], expected)
 
 
 def test_transition_is_its_state_the_next_one_the_next_acceleration_and_the_torque_between(
@@ -114,23 +86,28 @@ def test_transition_is_its_state_the_next_one_the_next_acceleration_and_the_torq
     learner.fit()
     now, following, accelerations, torques = fitted["data"]
     torch.testing.assert_close((now, following), (states[:-1], states[1:]))
-    torch.testing.assert_close(
-        accelerations, torch.stack([torch.full((STEPS,), 2.0, dtype=torch.float64), 6 * t[1:]], -1)
-    )
+    expected = torch.stack([2 + 0 * t, 6 * t], -1)[1:]
+    torch.testing.assert_close(accelerations, expected)
     assert torques is not None and len(torques) == STEPS
 
 
-def test_transitions_from_beyond_the_limits_are_experience_but_no_data(
+def test_model_is_learned_from_all_motions_in_their_order_but_for_what_is_beyond_the_limits(
     learner: InverseDynamicsLearner, draws: Draws, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A transition that begins beyond them is experience and no data."""
     quick_fits(monkeypatch)
-    learner.limits = torch.tensor([torch.inf, 5.0, torch.inf, 5.0], dtype=torch.float64)
-    wild = motion(draws)
-    wild.states[2, 1] = 6.0
-    learner.add(wild)
+    for _ in range(3):
+        learner.add(motion(draws))
     learner.fit()
-    torch.testing.assert_close(learner.inverse.gp.train_targets, wild.torques[[0, 1, 3]])
-    assert learner.experience_s == pytest.approx(STEPS * 0.1)
+    torques = torch.cat([past.torques for past in learner.experience])
+    torch.testing.assert_close(learner.inverse.gp.train_targets, torques)
+    learner.limits = torch.tensor([torch.inf, 50.0, torch.inf, 50.0], dtype=torch.float64)
+    learner.add(motion(draws))
+    learner.experience[-1].states[2, 1] = 60.0
+    learner.fit()
+    kept = torch.cat([torques, learner.experience[-1].torques[[0, 1, 3]]])
+    torch.testing.assert_close(learner.inverse.gp.train_targets, kept)
+    assert learner.experience_s == pytest.approx(4 * STEPS * 0.1)
 
 
 def test_robot_with_the_right_torques_is_on_the_reference(draws: Draws) -> None:

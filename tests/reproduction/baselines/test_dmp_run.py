@@ -1,6 +1,4 @@
-"""A run of the baseline with movement primitives: what it starts from, what it leaves, and that it
-learns.
-"""
+"""A run of the baseline with movement primitives: its start, what it leaves, what it learns."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ import torch
 from reproduction.baselines.dmp_learning import execute, random_torques
 from reproduction.baselines.dmp_run import DMPTrial, joint_trajectories, random_rollout, run_dmp
 from tests.helpers.short_run import quick_fits, short_experiment
-from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.runs.summaries import find_runs, read_summary, success_over_experience
@@ -26,13 +23,9 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 TRIALS, SEED = 2, 3
-short_run = partial(
-    run_dmp,
-    short_experiment(),
-    SEED,
-    TRIALS,
-    command="python -m reproduction.baselines.train_dmp seed=3",
-)
+DIVIDE = "must divide the control period of 0.1 s"
+COMMAND = "python -m reproduction.baselines.train_dmp seed=3"
+short_run = partial(run_dmp, short_experiment(), SEED, TRIALS, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +43,8 @@ def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
 ) -> None:
     angles = joint_trajectories(experiment)
     states = torch.stack([angles, torch.zeros_like(angles)], -1).flatten(-2)
-    torch.testing.assert_close(
-        experiment.space.observe(states), experiment.demonstrations.positions
-    )
+    seen = experiment.space.observe(states)
+    torch.testing.assert_close(seen, experiment.demonstrations.positions)
     assert (angles[:, 0] - torch.tensor([math.pi, 0.0])).abs().max() < 0.5
     assert angles.diff(dim=1).abs().max() < 1
 
@@ -60,15 +52,10 @@ def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
 def test_demonstration_that_begins_beyond_half_a_turn_is_the_same_motion(
     experiment: Task,
 ) -> None:
-    """Hanging is where arctangents jump: a start of -3.1 rad must not be averaged with one of 3.1
-    rad.
-    """
-    positions = experiment.demonstrations.positions * torch.tensor(
-        [-1.0, 1.0, -1.0, 1.0], dtype=torch.float64
-    )
-    mirrored = replace(
-        experiment, demonstrations=Demonstrations(positions, 0.1, experiment.demonstrations.names)
-    )
+    """Arctangents jump where it hangs: starts of -3.1 and 3.1 rad must not be averaged."""
+    shown = experiment.demonstrations
+    positions = shown.positions * torch.tensor([-1.0, 1.0, -1.0, 1.0]).double()
+    mirrored = replace(experiment, demonstrations=replace(shown, positions=positions))
     expected = torch.tensor([2 * math.pi, 0.0]) - joint_trajectories(experiment)
     torch.testing.assert_close(joint_trajectories(mirrored), expected, check_dtype=False)
 
@@ -94,71 +81,59 @@ def test_run_leaves_what_our_runs_leave(tmp_path: Path) -> None:
     summary = short_run(out=tmp_path / "runs" / "seed_3", on_trial=told.append)
     [folder] = find_runs([tmp_path / "runs"])
     assert read_summary(folder) == summary == json.loads((folder / "summary.json").read_text())
-    assert (summary["experiment"], summary["seed"], summary["command"]) == (
-        "double_pendulum_dmp",
-        3,
-        "python -m reproduction.baselines.train_dmp seed=3",
-    )
+    expected = {
+        "experiment": "double_pendulum_dmp",
+        "seed": 3,
+        "command": COMMAND,
+        "experience_s": pytest.approx(1.2),
+        "saved_n_eval": 20,
+        "stop_reason": "limit of trials",
+        "trials": [asdict(trial) for trial in told],
+    }
+    assert {name: summary[name] for name in expected} == expected
     assert summary["settings"]["feedback_period"] == 0.01
-    assert (summary["experience_s"], summary["saved_n_eval"], summary["stop_reason"]) == (
-        pytest.approx(1.2),
-        20,
-        "limit of trials",
-    )
-    assert summary["trials"] == [asdict(trial) for trial in told] and [
-        trial.trial for trial in told
-    ] == [1, 2]
+    assert [trial.trial for trial in told] == [1, 2]
     assert [trial.experience_s for trial in told] == pytest.approx([0.4, 0.8])
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [field.name for field in fields(DMPTrial)]
     assert rows == [{name: str(value) for name, value in asdict(trial).items()} for trial in told]
-
-
-@pytest.mark.usefixtures("quick")
-def test_runs_make_a_curve_over_experience(tmp_path: Path) -> None:
-    curve = success_over_experience([short_run(out=tmp_path)])
+    curve = success_over_experience([summary])
     assert curve.experience_s.tolist() == pytest.approx([0.4, 0.8, 1.2])
 
 
 @pytest.mark.usefixtures("quick")
 def test_same_seed_is_the_same_run_up_to_rounding(tmp_path: Path) -> None:
-    first, again = (
-        short_run(out=tmp_path / name, feedback_period=0.1)["trials"] for name in ("a", "b")
-    )
+    folders = tmp_path / "a", tmp_path / "b"
+    first, again = (short_run(out=out, feedback_period=0.1)["trials"] for out in folders)
     for trial, repeated in zip(first, again, strict=True):
         assert {**repeated, "gp_seconds": 0} == pytest.approx({**trial, "gp_seconds": 0}, rel=1e-4)
 
 
-@pytest.mark.parametrize("period", [0.03, 0.2, -0.1, 0.001])
-def test_impossible_feedback_period_is_refused_before_a_folder_is_made(
-    tmp_path: Path, period: float
-) -> None:
-    complaint = f"feedback_period must divide the control period of 0.1 s, got {period} s"
-    if period == 0.001:
-        complaint = "control_period must be a whole number of 0.002 s time steps, got 0.001 s"
-    with pytest.raises(ValueError, match=complaint):
-        short_run(out=tmp_path / "run", feedback_period=period)
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
-    ("seed", "trials", "complaint"),
-    [(-1, 1, "seed .* got -1"), (0, 0, "trials .* got 0"), (0, 1.5, "trials .* got 1.5")],
+    ("changes", "complaint"),
+    [
+        ({"feedback_period": 0.03}, f"feedback_period {DIVIDE}, got 0.03 s"),
+        ({"feedback_period": 0.2}, f"feedback_period {DIVIDE}, got 0.2 s"),
+        ({"feedback_period": -0.1}, f"feedback_period {DIVIDE}, got -0.1 s"),
+        ({"feedback_period": 0.001}, "a whole number of 0.002 s time steps, got 0.001 s"),
+        ({"seed": -1}, "seed .* got -1"),
+        ({"trials": 0}, "trials .* got 0"),
+        ({"trials": 1.5}, "trials .* got 1.5"),
+        (
+            {"name": "gym_pendulum"},
+            "the baseline with movement primitives is for double_pendulum, got gym",
+        ),
+    ],
 )
-def test_impossible_numbers_are_refused(
-    experiment: Task, tmp_path: Path, seed: int, trials: int, complaint: str
+def test_what_is_impossible_is_refused_before_a_folder_is_made(
+    experiment: Task, tmp_path: Path, changes: dict, complaint: str
 ) -> None:
+    given = {"seed": 0, "trials": 1, "out": tmp_path / "run", "command": ""} | changes
+    task = replace(experiment, name=given.pop("name", experiment.name))
     with pytest.raises(ValueError, match=complaint):
-        run_dmp(experiment, seed, trials, tmp_path, "")
-
-
-def test_other_robots_are_refused(experiment: Task, tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError,
-        match="the baseline with movement primitives is for double_pendulum, got gym_pendulum",
-    ):
-        run_dmp(replace(experiment, name="gym_pendulum"), 0, 1, tmp_path, "")
+        run_dmp(task, **given)
+    assert not (tmp_path / "run").exists()
 
 
 def test_environment_is_asked_for_the_feedbacks_period(
@@ -171,9 +146,8 @@ def test_environment_is_asked_for_the_feedbacks_period(
         made.append(control_period)
         return DoublePendulumEnv(control_period=control_period, **settings)
 
-    run_dmp(
-        replace(short_experiment(), make_env=make_env), 0, 1, tmp_path, "", feedback_period=0.05
-    )
+    task = replace(short_experiment(), make_env=make_env)
+    run_dmp(task, 0, 1, tmp_path, "", feedback_period=0.05)
     assert made == [0.05, 0.05]
 
 

@@ -57,48 +57,32 @@ def test_inverse_of_the_double_pendulum_is_learned(draws: Draws) -> None:
     assert (inverse(states, next_states, accelerations) - torques).square().mean().sqrt() < 0.3
 
 
-def test_inverse_model_does_not_count_full_turns(
+def test_inverse_model_needs_data_and_does_not_count_full_turns(
     draws: Draws, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
     inverse = InverseDynamics(double_pendulum_space())
+    with pytest.raises(RuntimeError, match="has no data yet"):
+        inverse(torch.zeros(4), torch.zeros(4), torch.zeros(2))
     states, next_states, accelerations, torques = transitions(draws, 20)
     inverse.fit(states, next_states, accelerations, torques)
     turned = 2 * math.pi * torch.tensor([1.0, 0.0, -1.0, 0.0], dtype=torch.float64)
     expected = inverse(states, next_states, accelerations)
-    torch.testing.assert_close(
-        inverse(states + turned, next_states + turned, accelerations), expected
-    )
+    found = inverse(states + turned, next_states + turned, accelerations)
+    torch.testing.assert_close(found, expected)
 
 
-def test_inverse_model_needs_data() -> None:
-    inverse = InverseDynamics(double_pendulum_space())
-    with pytest.raises(RuntimeError, match="has no data yet"):
-        inverse(torch.zeros(4), torch.zeros(4), torch.zeros(2))
-
-
-def test_torques_are_those_of_equation_29(reference: Reference, draws: Draws) -> None:
+def test_torques_are_those_of_equation_29_within_limits(reference: Reference, draws: Draws) -> None:
     inverse, states = KnownInverse(), draws.normal(STEPS * HOLD, 4)
     controller = TrackingController(inverse, reference, 1e3 * U_MAX)
     for step, state in enumerate(states):
         begun, control_step = step - step % HOLD, step // HOLD
-        feedforward = KnownInverse()(
-            states[begun], reference.states[begun + HOLD], reference.accelerations[control_step + 1]
-        )
-        q, dq, target, target_rate = (
-            entries[0::2] for x in (state, reference.states[step]) for entries in (x, x[1:])
-        )
-        torch.testing.assert_close(
-            controller(step, state), feedforward + 0.5 * (target - q) + 0.25 * (target_rate - dq)
-        )
+        meant, acceleration = reference.states[begun + HOLD], reference.accelerations
+        feedforward = KnownInverse()(states[begun], meant, acceleration[control_step + 1])
+        away = reference.states[step] - state
+        feedback = 0.5 * away[0::2] + 0.25 * away[1::2]
+        torch.testing.assert_close(controller(step, state), feedforward + feedback)
     assert len(inverse.asked) == STEPS
-
-
-def test_gains_are_the_papers() -> None:
-    assert (POSITION_GAIN, VELOCITY_GAIN) == (0.5, 0.25)
-
-
-def test_torques_stay_within_the_limits(reference: Reference) -> None:
     controller = TrackingController(KnownInverse(), reference, U_MAX)
     torques = controller(0, torch.tensor([100.0, 0.0, -100.0, 0.0], dtype=torch.float64))
     torch.testing.assert_close(torques.abs(), U_MAX)
@@ -109,47 +93,34 @@ def test_batch_of_robots_is_a_loop_over_them(reference: Reference, draws: Draws)
     batched = TrackingController(KnownInverse(), reference, U_MAX)
     together = torch.stack([batched(step, state) for step, state in enumerate(states)])
     for robot in range(5):
-        alone = TrackingController(KnownInverse(), reference, U_MAX)
-        torch.testing.assert_close(
-            torch.stack([alone(step, state[robot]) for step, state in enumerate(states)]),
-            together[:, robot],
-        )
+        one = TrackingController(KnownInverse(), reference, U_MAX)
+        alone = torch.stack([one(step, state[robot]) for step, state in enumerate(states)])
+        torch.testing.assert_close(alone, together[:, robot])
 
 
 def test_accelerations_are_exact_for_cubic_velocities(draws: Draws) -> None:
     t, c = torch.linspace(0, 1, 9, dtype=torch.float64)[:, None], draws.normal(4, 2)
     velocities = c[0] + c[1] * t + c[2] * t**2 + c[3] * t**3
-    torch.testing.assert_close(
-        accelerations_from_velocities(velocities, 1 / 8), c[1] + 2 * c[2] * t + 3 * c[3] * t**2
-    )
+    expected = c[1] + 2 * c[2] * t + 3 * c[3] * t**2
+    torch.testing.assert_close(accelerations_from_velocities(velocities, 1 / 8), expected)
 
 
 @pytest.mark.parametrize(("period", "least", "largest"), [(0.1, 2.2, 2.4), (0.01, 0.9, 1.0)])
 def test_feedback_held_for_a_control_step_is_unstable_about_hanging_and_a_fast_one_is_not(
     period: float, least: float, largest: float
 ) -> None:
-    """The spectral radius of the hanging double pendulum with the PD controller alone, for one
-    period of the controller.
+    """The spectral radius of one period of the PD controller alone.
 
     K_d dt is three times the least eigenvalue of the mass matrix at dt = 0.1 s: the velocity error
     of that mode changes its sign and grows.
     """
     env, step = DoublePendulumEnv(control_period=period, seed=0), 1e-5
-    states, torques = (
-        step * torch.eye(4, dtype=torch.float64),
-        step * torch.eye(2, dtype=torch.float64),
+    unit = step * torch.eye(6, dtype=torch.float64)
+    ahead, back = (
+        env.simulate(env.initial_mean + sign * unit[:, :4], sign * unit[:, 4:]) for sign in (1, -1)
     )
-    hanging = env.initial_mean
-    of_states = (
-        env.simulate(hanging + states, torch.zeros(4, 2))
-        - env.simulate(hanging - states, torch.zeros(4, 2))
-    ).mT / (2 * step)
-    of_torques = (
-        env.simulate(hanging.expand(2, 4), torques) - env.simulate(hanging.expand(2, 4), -torques)
-    ).mT / (2 * step)
-    gains = torch.kron(
-        torch.eye(2, dtype=torch.float64),
-        torch.tensor([[POSITION_GAIN, VELOCITY_GAIN]], dtype=torch.float64),
-    )
+    slopes = (ahead - back).mT / (2 * step)
+    of_states, of_torques = slopes[:, :4], slopes[:, 4:]
+    gains = torch.kron(torch.eye(2), torch.tensor([[POSITION_GAIN, VELOCITY_GAIN]])).double()
     radius = torch.linalg.eigvals(of_states - of_torques @ gains).abs().max()
     assert least < radius < largest

@@ -54,9 +54,8 @@ def test_same_seed_is_the_same_run(tmp_path: Path, name: str) -> None:
     outcomes = []
     for folder in ("a", "b"):
         torch.rand(1)  # torch's own generator does not matter
-        run = peer_run(
-            tmp_path / folder, short_imitation(), PEERS[name], SEED, 2, settings=QUICK[name]
-        )
+        task, root = short_imitation(), tmp_path / folder
+        run = peer_run(root, task, PEERS[name], SEED, 2, settings=QUICK[name])
         run.learn(run.out, "")
         outcomes.append([row["own_error"] for row in read_json(run.out / "summary.json")["trials"]])
     assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-4)

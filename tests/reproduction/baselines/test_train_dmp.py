@@ -1,6 +1,4 @@
-"""The script of the baseline with movement primitives: what it leaves, what it says, and that it
-fails in one line.
-"""
+"""The script of the baseline with movement primitives: what it leaves, says and refuses."""
 
 from __future__ import annotations
 
@@ -12,21 +10,18 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.run_script import run_script
-from tests.helpers.short_run import quick_fits, short_experiment
-from torch_pmil.tasks.registry import EXPERIMENTS
+from tests.helpers.short_run import quick_fits, replace_task, short_experiment
 
+PERIOD = "feedback_period"
 SCRIPT = "reproduction/baselines/train_dmp.py"
 Script = Callable[..., None]
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
-    """The script, run with command-line overrides in an empty folder, on the first steps of the
-    double pendulum.
-    """
+    """The script, in an empty folder, on the first steps of the double pendulum."""
     monkeypatch.chdir(tmp_path)
-    short = short_experiment()
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    replace_task(monkeypatch, short_experiment())
     quick_fits(monkeypatch)
     return partial(run_script, monkeypatch, SCRIPT)
 
@@ -34,33 +29,25 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
 def test_run_leaves_its_numbers_and_says_them(
     script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    script("seed=4", "trials=1", "feedback_period=0.1", "out=run")
-    files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert files == {
-        f"run/{name}"
-        for name in ("metrics.csv", "summary.json", "figures/learning_curve.png", "report.html")
-    }
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert (
-        summary["command"]
-        == "python -m reproduction.baselines.train_dmp seed=4 trials=1 feedback_period=0.1 out=run"
-    )
+    words = "seed=4", "trials=1", "feedback_period=0.1", "out=run"
+    script(*words)
+    out = tmp_path / "run"
+    files = {str(path.relative_to(out)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert files == {"metrics.csv", "summary.json", "figures/learning_curve.png", "report.html"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["command"].split()[-5:] == ["reproduction.baselines.train_dmp", *words]
+    assert summary["command"].startswith("python -m ")
     printed = capsys.readouterr().out
     assert "trial  1:   0.4 s of experience, own rollout" in printed
-    assert (
-        "of 20 fresh starts after 0.8 s of experience" in printed
-        and "see run/report.html, run/summary.json" in printed
-    )
+    assert "of 20 fresh starts after 0.8 s of experience" in printed
+    assert "see run/report.html, run/summary.json" in printed
 
 
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("trials=0", "trials must be a whole number of at least 1, got 0"),
-        (
-            "feedback_period=0.03",
-            "feedback_period must divide the control period of 0.1 s, got 0.03 s",
-        ),
+        (f"{PERIOD}=0.03", f"{PERIOD} must divide the control period of 0.1 s, got 0.03 s"),
         ("demonstrations=none.csv", "there is no file none.csv"),
     ],
 )

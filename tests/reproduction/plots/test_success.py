@@ -22,9 +22,8 @@ def test_success_over_mass_is_the_mean_in_percent_with_the_range_over_the_runs(
     tmp_path: Path,
 ) -> None:
     rates = {"a": np.array([[0.0, 1.0, 0.5], [0.5, 1.0, 0.5]]), "b": np.ones((1, 3))}
-    figure = plot_success_over_mass(
-        MASSES, rates, np.array([[2.0, 3.0, 4.0], [3.0, 3.0, 5.0]]), limit=3.5, demonstrated=0.5
-    )
+    torques = np.array([[2.0, 3.0, 4.0], [3.0, 3.0, 5.0]])
+    figure = plot_success_over_mass(MASSES, rates, torques, limit=3.5, demonstrated=0.5)
     upper, lower = figure.axes
     first, second = upper.containers
     means, ranges = means_and_ranges(first)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from reproduction.plots.variants import plot_variants
+from tests.helpers.figures import legend_of
 from torch_pmil.plotting.style import VERMILLION
 
 LABELS = ["ours", "never", "late", "best", "early"]
@@ -36,22 +37,16 @@ def points(figure: Figure, panel: int, marker: str) -> np.ndarray:
 def test_ours_is_on_top_then_the_best_and_among_equals_the_one_that_needed_less(
     figure: Figure,
 ) -> None:
+    """Every run is a point, in percent, and their mean a bar."""
     left, right = figure.axes
-    assert [tick.get_text() for tick in left.get_yticklabels()] == [
-        LABELS[index] for index in ORDER
-    ]
+    labels = [tick.get_text() for tick in left.get_yticklabels()]
+    assert labels == [LABELS[index] for index in ORDER]
     assert left.yaxis_inverted() and right.yaxis_inverted()
-
-
-def test_every_run_is_a_point_in_percent_and_their_mean_a_bar(figure: Figure) -> None:
     np.testing.assert_array_equal(points(figure, 0, "o"), 100 * RATES[ORDER])
-    np.testing.assert_allclose(
-        [bar.get_width() for bar in figure.axes[0].patches], 100 * RATES[ORDER].mean(1)
-    )
-    assert [panel.get_xlabel() for panel in figure.axes] == [
-        "success rate (%)",
-        "experience before the first success (s)",
-    ]
+    means = [bar.get_width() for bar in left.patches]
+    np.testing.assert_allclose(means, 100 * RATES[ORDER].mean(1))
+    assert left.get_xlabel() == "success rate (%)"
+    assert right.get_xlabel() == "experience before the first success (s)"
 
 
 def test_runs_without_success_are_crosses_beyond_the_end(figure: Figure) -> None:
@@ -64,31 +59,20 @@ def test_runs_without_success_are_crosses_beyond_the_end(figure: Figure) -> None
     assert np.nanmin(crosses) > 20
     assert panel.get_xticklabels()[-1].get_text() == "never"
     assert panel.get_xticks()[-1] == np.nanmax(crosses) < panel.get_xlim()[1]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        "a run",
-        "mean",
-        "a run without success",
-    ]
+    assert legend_of(figure) == ["a run", "mean", "a run without success"]
 
 
-def test_where_all_succeed_nothing_is_said_of_never() -> None:
-    figure = plot_variants(LABELS, RATES, np.full(SECONDS.shape, 5.0))
-    assert VERMILLION not in [line.get_color() for line in figure.axes[1].lines]
-    assert "never" not in [tick.get_text() for tick in figure.axes[1].get_xticklabels()]
-
-
-def test_where_none_succeeds_all_are_never() -> None:
-    assert np.isfinite(
-        points(plot_variants(LABELS, RATES, np.full(SECONDS.shape, np.inf)), 1, "x")
-    ).all()
+def test_where_all_succeed_none_is_never_and_where_none_does_all_are() -> None:
+    panel = plot_variants(LABELS, RATES, np.full(SECONDS.shape, 5.0)).axes[1]
+    assert VERMILLION not in [line.get_color() for line in panel.lines]
+    assert "never" not in [tick.get_text() for tick in panel.get_xticklabels()]
+    failed = plot_variants(LABELS, RATES, np.full(SECONDS.shape, np.inf))
+    assert np.isfinite(points(failed, 1, "x")).all()
 
 
 def test_other_shapes_are_refused() -> None:
-    with pytest.raises(
-        ValueError, match=r"must be \(3, runs\) for 3 labels, got \(5, 2\), \(5, 2\)"
-    ):
+    complaint = r"must be \({0}, runs\) for {0} labels, got \(5, 2\), \(5, {1}\)"
+    with pytest.raises(ValueError, match=complaint.format(3, 2)):
         plot_variants(LABELS[:3], RATES, SECONDS)
-    with pytest.raises(
-        ValueError, match=r"must be \(5, runs\) for 5 labels, got \(5, 2\), \(5, 1\)"
-    ):
+    with pytest.raises(ValueError, match=complaint.format(5, 1)):
         plot_variants(LABELS, RATES, SECONDS[:, :1])

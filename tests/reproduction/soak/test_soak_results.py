@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import RECORD
 from reproduction.soak.results import Row, details_of, headline_of, outcome_of, row_of
 from reproduction.soak.tasks import TASKS, SoakRun, first_runs
+from tests.helpers import summaries
+from tests.helpers.summaries import leave_summary
 from torch_pmil.plotting import Figure
 from torch_pmil.runs.summaries import RunError
 
@@ -24,26 +27,24 @@ JOINTS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in ("yaw", "should
 
 
 def trial(rate: float, **more: float | None) -> dict[str, Any]:
-    return {"experience_s": 2.5, "success_rate": rate, "n_eval": 20, **more}
+    return summaries.trial(2.5, rate, n_eval=20, **more)
 
 
 def summary(task: str, seed: int, saved: float, **more: Any) -> dict[str, Any]:
     """As much of a run's summary as the results read, in its earlier version."""
-    return {
-        "experiment": task,
-        "seed": seed,
+    earlier: dict[str, Any] = {
         "stop_reason": "the own rollouts of two trials in a row succeeded",
         "trials": [trial(0.0), trial(saved)],
         "saved_trial": 2,
-        "saved_success_rate": saved,
         "experience_s": 7.5,
         "wall_seconds": 10.0,
         "settings": {"trials": 12},
         "rms_error": dict.fromkeys(JOINTS, np.deg2rad(3.0)),
         "demonstration_spread": dict.fromkeys(JOINTS, np.deg2rad(2.0)),
         "diagnosis": [],
-        **more,
     }
+    own = {"experiment": task, "seed": seed, "saved_success_rate": saved}
+    return summaries.summary(**own, **earlier | more)
 
 
 def promising(task: str, seed: int, saved: float, promised: float, **more: Any) -> dict[str, Any]:
@@ -57,38 +58,27 @@ def promising(task: str, seed: int, saved: float, promised: float, **more: Any) 
             trial(saved, predicted_success_rate=0.97),
         ],
     }
-    return summary(task, seed, saved, **{**later, **more})
+    return summary(task, seed, saved, **later | more)
 
 
 REPLAY: dict[str, Any] = {"moved": 1.0, "predicted_saved": 1.0, "replayed": []}
 
 
+def place_of(task: str, seed: int) -> Row:
+    return {"task": task, "seed": seed, "folder": f"runs/{task}/seed_{seed}"}
+
+
 def row(content: dict[str, Any], measured: float) -> Row:
-    return {
-        "task": content["experiment"],
-        "seed": content["seed"],
-        "folder": f"runs/{content['experiment']}/seed_{content['seed']}",
-        "ended": True,
-        "attempts": ["ended"],
-        "cpu_seconds": 12.0,
-        "bytes": 1000,
-        **outcome_of(content),
-        "measured_success_rate": measured,
-        "replayed": ReplayedRun.of(content["experiment"], {**content, **REPLAY}),
-    }
+    task = content["experiment"]
+    process = {"ended": True, "attempts": ["ended"], "cpu_seconds": 12.0, "bytes": 1000}
+    replayed = ReplayedRun.of(task, {**content, **REPLAY})
+    found = {**outcome_of(content), "measured_success_rate": measured, "replayed": replayed}
+    return {**place_of(task, content["seed"]), **process, **found}
 
 
 def not_ended(task: str, seed: int) -> Row:
-    return {
-        "task": task,
-        "seed": seed,
-        "folder": f"runs/{task}/seed_{seed}",
-        "ended": False,
-        "attempts": ["hung"],
-        "cpu_seconds": 1800.0,
-        "bytes": 500,
-        "said": "trial 3",
-    }
+    process = {"ended": False, "attempts": ["hung"], "cpu_seconds": 1800.0, "bytes": 500}
+    return {**place_of(task, seed), **process, "said": "trial 3"}
 
 
 REASON = [{"cause": "search stuck", "message": "at step 7"}]
@@ -107,28 +97,23 @@ ROWS = [
 
 def write_run(root: Path, content: dict[str, Any], end: str = "ended") -> Path:
     folder = root / content["experiment"] / f"seed_{content['seed']}"
-    folder.mkdir(parents=True)
-    (folder / "summary.json").write_text(json.dumps(content))
+    leave_summary(folder, **content)
     attempt = {"exit_code": 0, "wall_seconds": 2.0, "cpu_seconds": 1.5, "said": "a line"}
-    crashed = {**attempt, "end": "crashed"}
-    (folder / RECORD).write_text(json.dumps([crashed, {**attempt, "end": end}]))
+    ends = [{**attempt, "end": one} for one in ("crashed", end)]
+    (folder / RECORD).write_text(json.dumps(ends))
     return folder
 
 
-def test_runs_go_seed_by_seed_and_more_begin_with_the_same() -> None:
+def test_runs_go_seed_by_seed_and_each_is_the_command_that_users_type() -> None:
     runs = first_runs(20, 3, Path("runs"))
     assert [run.seed for run in runs] == [3] * 8 + [4] * 8 + [5] * 4
     assert [run.task for run in runs[8:16]] == list(TASKS)
     assert first_runs(100, 3, Path("runs"))[:20] == runs
     assert len({run.folder for run in first_runs(240, 0, Path("runs"))}) == 240
-
-
-def test_a_run_is_the_command_that_users_type() -> None:
-    *_, last = first_runs(8, 5, Path("runs"))
-    assert last.job.words[1:] == (
-        *("-m", "torch_pmil", "train", "experiment=handwriting", "shape=Sine", "seed=5"),
-        *("out=runs/handwriting_Sine_double_pendulum/seed_5", "resume=true"),
-    )
+    words, name = runs[7].job.words[1:], "handwriting_Sine_double_pendulum"
+    assert words[:4] == ("-m", "torch_pmil", "train", "experiment=handwriting")
+    run = "demonstrations=lasa:Sine", "seed=3", f"out=runs/{name}/seed_3", "resume=true"
+    assert words[4:] == run
 
 
 def test_names_of_the_tasks_are_those_in_summaries() -> None:
@@ -136,21 +121,17 @@ def test_names_of_the_tasks_are_those_in_summaries() -> None:
     assert [task.load().name for task in TASKS] == [task.name for task in TASKS]
 
 
-def test_headline_counts_what_it_says() -> None:
+def test_headline_counts_what_it_says_and_no_promise_where_there_is_none() -> None:
     headline = headline_of(ROWS)
     assert headline.pop("biorob_joint_rms_deg") == pytest.approx(np.sqrt((3**2 + 4**2) / 2))
-    assert headline == {
+    counts = {
         "runs": 5,
         "ended": 4,
         "saved_at_95": 2,
-        "worst_claimed": 0.9,
         "double_pendulum_at_95": 1,
         "biorob_at_95": 1,
-        "promise_kept": pytest.approx(2 / 3),
     }
-
-
-def test_headline_of_runs_that_promise_nothing() -> None:
+    assert headline == counts | {"worst_claimed": 0.9, "promise_kept": pytest.approx(2 / 3)}
     rows = [row(summary("double_pendulum", 0, 0.8), 0.7)]
     headline = headline_of(rows)
     assert (headline["promise_kept"], headline["biorob_joint_rms_deg"]) == (None, None)
@@ -160,10 +141,8 @@ def test_headline_of_runs_that_promise_nothing() -> None:
 
 def test_details_name_all_that_did_not_learn_or_end() -> None:
     details: dict[str, Any] = details_of(ROWS)
-    assert [run["folder"] for run in details["not_learned"]] == [
-        "runs/double_pendulum/seed_1",
-        "runs/biorob/seed_1",
-    ]
+    folders = [run["folder"] for run in details["not_learned"]]
+    assert folders == ["runs/double_pendulum/seed_1", "runs/biorob/seed_1"]
     assert details["not_learned"][1]["diagnosis"] == REASON
     (broken,) = details["broken_promises"]
     assert (broken["folder"], broken["promised_success_rate"]) == (ROWS[1]["folder"], 0.96)
@@ -208,60 +187,49 @@ def test_row_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert row_of(SoakRun(task, 2, tmp_path / "none"))["said"] == "not begun"
 
 
-def test_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seeds = []
+def test_runs_are_measured_and_replayed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[object, ...]] = []
 
-    class Stub:
-        policy = None
-
-    def count(policy: None, experiment: object, starts: int, seed: int) -> float:
-        seeds.append((starts, seed))
+    def measured(policy: None, experiment: object, starts: int, seed: int) -> float:
+        asked.append((starts, seed))
         return 0.93
 
-    monkeypatch.setattr(results, "load_learned", lambda folder, experiment: Stub)
-    monkeypatch.setattr(results, "measured_success", count)
-    run = SoakRun(TASKS[0], 4, tmp_path)
-    assert [results.measure(run), results.measure(run)] == [0.93, 0.93]
-    assert seeds == [(100, 7_000_004)]
-
-
-def test_replayed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def told(folder: Path, experiment: object, samples: int) -> dict[str, Any]:
+    def replayed(folder: Path, experiment: object, samples: int) -> dict[str, Any]:
         asked.append((folder, samples))
         return REPLAY
 
-    monkeypatch.setattr(results, "replayed", told)
+    learned = SimpleNamespace(policy=None)
+    monkeypatch.setattr(results, "load_learned", lambda folder, experiment: learned)
+    monkeypatch.setattr(results, "measured_success", measured)
+    monkeypatch.setattr(results, "replayed", replayed)
     run = SoakRun(TASKS[0], 4, tmp_path)
+    assert [results.measure(run), results.measure(run)] == [0.93, 0.93]
     assert [results.replay(run), results.replay(run)] == [REPLAY, REPLAY]
-    assert asked == [(tmp_path, 100)]
+    assert asked == [(100, 7_000_004), (tmp_path, 100)]
 
 
 def test_runs_are_paired_by_task_and_seed(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="got none"):
+        outcomes_in(tmp_path)
+
+    def run(seed: int, seconds: float) -> dict[str, Any]:
+        return summary("double_pendulum", seed, 1.0, experience_s=seconds)
+
     for seed, seconds in ((0, 20.0), (1, 30.0), (2, 99.0)):
-        content = summary("double_pendulum", seed, 1.0, experience_s=seconds)
-        write_run(tmp_path, content)
+        write_run(tmp_path, run(seed, seconds))
     ours = {
-        ("double_pendulum", seed): outcome_of(
-            summary("double_pendulum", seed, 1.0, experience_s=seconds)
-        )
+        ("double_pendulum", seed): outcome_of(run(seed, seconds))
         for seed, seconds in ((0, 15.0), (1, 15.0), (7, 1.0))
     }
     numbers = compared(ours, outcomes_in(tmp_path))
     assert numbers.keys() == {"all", "double_pendulum"}
+    expected = {"pairs": 2, "ours": 15.0, "theirs": 25.0, "difference": -10.0}
     experience = numbers["double_pendulum"]["experience_s"]
-    assert experience == {
-        **{"pairs": 2, "ours": 15.0, "theirs": 25.0, "difference": -10.0},
-        **{"lower": -15.0, "upper": -5.0},
-    }
+    assert experience == expected | {"lower": -15.0, "upper": -5.0}
     assert numbers["all"]["cpu_seconds"] == {"pairs": 0}  # ours are not known
     assert compared({}, outcomes_in(tmp_path))["all"]["experience_s"] == {"pairs": 0}
-
-
-def test_folder_without_runs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="got none"):
-        outcomes_in(tmp_path)
 
 
 def test_interval_covers_the_true_difference_as_often_as_it_says() -> None:

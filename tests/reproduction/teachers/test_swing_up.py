@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from reproduction.teachers.swing_up import STEPS, demonstrate
 from reproduction.teachers.trajectory_optimization import Plan, TrackingController
@@ -15,48 +16,34 @@ COUNT = 40
 def lazy_teacher(torque: float) -> TrackingController:
     """Always means the same torque, whatever it sees."""
     plan = Plan(np.zeros((STEPS + 1, 4)), np.full((STEPS, 2), torque), cost=0.0, converged=True)
-    return TrackingController(
-        plan, np.zeros((STEPS, 2, 4)), np.zeros((2, 4)), STEPS, np.zeros(4), np.full(2, 3.5)
-    )
+    gains, holding = np.zeros((STEPS, 2, 4)), np.zeros((2, 4))
+    return TrackingController(plan, gains, holding, STEPS, np.zeros(4), np.full(2, 3.5))
 
 
-def record(
-    seed: int, torque: float = 1.0, torque_noise: float = 0.1
-) -> tuple[torch.Tensor, torch.Tensor]:
+def record(seed: int, torque: float = 1.0, torque_noise: float = 0.1) -> tuple[Tensor, Tensor]:
     env = DoublePendulumEnv(num_envs=COUNT, seed=seed)
     return demonstrate(env, lazy_teacher(torque), seed, torque_noise)
 
 
 def test_demonstrations_start_where_the_environment_does() -> None:
+    """And the recorded torques are those that moved the robot."""
     states, torques = record(seed=3)
-    torch.testing.assert_close(
-        states[:, 0], DoublePendulumEnv(num_envs=COUNT, seed=3).reset()["observation"]
-    )
+    starts = DoublePendulumEnv(num_envs=COUNT, seed=3).reset()["observation"]
+    torch.testing.assert_close(states[:, 0], starts)
     assert (states.shape, torques.shape) == ((COUNT, STEPS + 1, 4), (COUNT, STEPS, 2))
-
-
-def test_recorded_torques_are_those_that_moved_the_robot() -> None:
-    states, torques = record(seed=3)
     env = DoublePendulumEnv(seed=0)
     for step in (0, 7, STEPS - 1):
-        torch.testing.assert_close(
-            env.simulate(states[:, step], torques[:, step]), states[:, step + 1], rtol=0, atol=1e-12
-        )
+        after = env.simulate(states[:, step], torques[:, step])
+        torch.testing.assert_close(after, states[:, step + 1], rtol=0, atol=1e-12)
 
 
 def test_imprecision_has_the_given_standard_deviation_and_is_drawn_anew_at_each_step() -> None:
     noise = record(seed=3)[1] - 1.0
     assert abs(noise.std().item() / 0.1 - 1) < 4 / (2 * noise.numel()) ** 0.5
-    assert (
-        abs(torch.corrcoef(torch.stack([noise[:, 1:].flatten(), noise[:, :-1].flatten()]))[0, 1])
-        < 4 / noise.numel() ** 0.5
-    )
+    successive = torch.stack([noise[:, 1:].flatten(), noise[:, :-1].flatten()])
+    assert abs(torch.corrcoef(successive)[0, 1]) < 4 / noise.numel() ** 0.5
     assert (record(seed=3, torque_noise=0.0)[1] == 1.0).all()
-
-
-def test_imprecise_torques_stay_within_the_limits() -> None:
-    torques = record(seed=3, torque=3.45)[1]
-    assert torques.max() == 3.5
+    assert record(seed=3, torque=3.45)[1].max() == 3.5  # the limit
 
 
 def test_same_seed_gives_the_same_demonstrations() -> None:

@@ -18,11 +18,18 @@ from reproduction.teachers.trajectory_optimization import (
 A = np.array([[1.0, 0.1], [0.2, 1.05]])
 B = np.array([[0.0], [0.1]])
 START, TARGET, STEPS = np.array([1.0, 0.0]), np.zeros(2), 15
+NO_ACTIONS = np.zeros((STEPS, 1))
 COST = QuadraticCost(TARGET, np.tile([1.0, 0.1], (STEPS + 1, 1)), np.array([0.05]))
 
 
 def linear_dynamics(states, actions):
     return states @ A.T + actions @ B.T
+
+
+def planned(start, cost, limit, tolerance=1e-12, actions=NO_ACTIONS):
+    return plan_trajectory(
+        linear_dynamics, start, cost, actions, np.array([limit]), tolerance=tolerance
+    )
 
 
 def pendulum(states, actions):
@@ -40,33 +47,17 @@ def cost_of_actions(actions, cost):
 @pytest.mark.parametrize("limit", [100.0, 2.0])
 def test_plan_for_a_linear_system_is_the_optimum_within_the_limits(limit, hold_action):
     cost, bounds = replace(COST, hold_action=np.array([hold_action])), [(-limit, limit)] * STEPS
-    plan = plan_trajectory(
-        linear_dynamics, START, cost, np.zeros((STEPS, 1)), np.array([limit]), tolerance=1e-12
-    )
-    optimum = minimize(
-        cost_of_actions,
-        np.zeros(STEPS),
-        (cost,),
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"ftol": 1e-15},
-    )
+    plan = planned(START, cost, limit)
+    given, options = (cost_of_actions, np.zeros(STEPS), (cost,)), {"ftol": 1e-15}
+    optimum = minimize(*given, method="L-BFGS-B", bounds=bounds, options=options)
     assert plan.converged
     assert plan.cost == pytest.approx(optimum.fun, rel=1e-8)
     np.testing.assert_allclose(plan.actions[:, 0], optimum.x, atol=1e-2)
     assert np.abs(plan.actions).max() <= limit
-
-
-@pytest.mark.parametrize("limit", [100.0, 2.0])
-def test_plan_that_begins_at_its_optimum_has_converged(limit: float) -> None:
-    """There rounding alone decides whether a step lowers the cost."""
-    limits = np.array([limit])
-    found = plan_trajectory(
-        linear_dynamics, START, COST, np.zeros((STEPS, 1)), limits, tolerance=1e-12
-    )
-    again = plan_trajectory(linear_dynamics, START, COST, found.actions, limits, tolerance=1e-12)
+    # at an optimum rounding alone decides whether a step lowers the cost
+    again = planned(START, cost, limit, actions=plan.actions)
     assert again.converged
-    np.testing.assert_allclose(again.actions, found.actions, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(again.actions, plan.actions, rtol=0, atol=1e-7)
 
 
 def test_derivatives_of_a_pendulum():
@@ -101,22 +92,17 @@ def test_controller_holds_a_target_where_the_robot_does_not_rest_by_itself():
         pendulum, plan, leaning, 24, np.array([10.0, 1.0]), np.ones(1), limit, hold
     )
     np.testing.assert_allclose(controller(24, leaning[None]), hold[None], rtol=0, atol=1e-12)
-    states, _ = roll_out(
-        pendulum, np.random.default_rng(0).normal(scale=0.05, size=(10, 2)), controller, 60
-    )
+    starts = np.random.default_rng(0).normal(scale=0.05, size=(10, 2))
+    states, _ = roll_out(pendulum, starts, controller, 60)
     np.testing.assert_allclose(states[:, -1], np.tile(leaning, (10, 1)), rtol=0, atol=1e-3)
 
 
 def test_gains_about_a_plan_are_those_of_the_optimum() -> None:
     """What the cheapest way from elsewhere does differs by the gains, step by step."""
-    limit, weights = np.array([1e3]), COST.state_weights
-    plan, other = (
-        plan_trajectory(linear_dynamics, start, COST, np.zeros((STEPS, 1)), limit, tolerance=1e-14)
-        for start in (START, START + np.array([0.2, -0.5]))
-    )
-    gains = tracking_gains(
-        linear_dynamics, plan, weights[:-1], COST.action_weights, np.diag(weights[-1])
-    )
+    weights, last = COST.state_weights[:-1], np.diag(COST.state_weights[-1])
+    starts = START, START + np.array([0.2, -0.5])
+    plan, other = (planned(start, COST, 1e3, tolerance=1e-14) for start in starts)
+    gains = tracking_gains(linear_dynamics, plan, weights, COST.action_weights, last)
     away = np.einsum("tfd,td->tf", gains, (other.states - plan.states)[:-1])
     np.testing.assert_allclose(other.actions, plan.actions - away, atol=1e-4)
     assert gains.shape == (STEPS, 1, 2)
@@ -125,7 +111,5 @@ def test_gains_about_a_plan_are_those_of_the_optimum() -> None:
 def test_plan_follows_states_that_change() -> None:
     reference = roll_out(linear_dynamics, START[None], lambda t, _: np.array([[np.sin(t)]]), STEPS)
     cost = replace(COST, target=reference[0][0], action_weights=np.array([1e-9]))
-    plan = plan_trajectory(
-        linear_dynamics, START, cost, np.zeros((STEPS, 1)), np.array([10.0]), tolerance=1e-12
-    )
+    plan = planned(START, cost, 10.0)
     np.testing.assert_allclose(plan.actions, reference[1][0], atol=1e-3)

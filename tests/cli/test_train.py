@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -324,7 +325,7 @@ def test_flags_of_hydra_are_refused_in_one_line(
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         script("out=run", flag)
-    complaint = f"error: unrecognized arguments: {flag} (pmil train --help tells what it takes)\n"
+    complaint = f"error: unrecognized arguments: {flag} (see pmil train --help)\n"
     assert capsys.readouterr() == ("", complaint)
     assert os.listdir() == []
 
@@ -430,7 +431,9 @@ def test_make_passes_on_the_settings_of_its_command_line(tmp_path: Path) -> None
     quiet = [made, "-n", "--no-print-directory", "-o", ".venv/.installed"]  # make may run this
     command = [*quiet, "train", "seed=1", "out=a b", "ARGS=trials=2"]
     told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert told.stdout == ".venv/bin/pmil train seed='1' out='a b' trials=2\n"
+    command, train, *words = shlex.split(told.stdout)  # make gives its variables in any order
+    assert (command, train) == (".venv/bin/pmil", "train")
+    assert sorted(words) == ["out=a b", "seed=1", "trials=2"]
 
 
 def error_of(script: Script, *overrides: str) -> str:

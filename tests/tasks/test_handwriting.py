@@ -206,7 +206,7 @@ def test_stroke_out_of_reach_or_of_too_much_torque_is_refused_in_one_line(
     [
         (
             None,
-            r"^handwriting.* needs strokes: demonstrations=lasa:Angle, or a file that pmil draw",
+            r"^handwriting.* needs strokes \(demonstrations=lasa:Angle, or a file of pmil draw\), ",
         ),
         (
             replace(wave(), names=("u", "v")),

@@ -183,11 +183,13 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
         ({"match": "tip"}, TypeError, "match by a site needs a MujocoRobot, got Arm"),
         (
             {"robot": Physical(), "control_period": 0.2},
-            *(ValueError, "control_period must be that of the robot, 0.1 s, got 0.2 s"),
+            ValueError,
+            "control_period must be that of the robot, 0.1 s, got 0.2 s",
         ),
         (
             {"robot": Physical(), "state": ("cos q", "sin q", "dq")},
-            *(ValueError, "a physical robot must show its angles"),
+            ValueError,
+            "a physical robot must show its angles",
         ),
     ],
 )

@@ -64,7 +64,7 @@ class DelayedDoublePendulumEnv(DoublePendulumEnv):
         return super()._reset(tensordict, **kwargs)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        torque, before = self._check_action(tensordict["action"]), self._physics
+        torque, before = self._rows("action", tensordict["action"]), self._physics
         late = self.late_substeps
         for held, substeps in ((self._acting, late), (torque, self.substeps - late)):
             if substeps:

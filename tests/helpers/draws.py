@@ -19,16 +19,14 @@ class Draws:
         return torch.randn(*shape, dtype=torch.float64, generator=self.generator)
 
     def uniform(self, low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(
-            *shape, dtype=torch.float64, generator=self.generator
-        )
+        share = torch.rand(*shape, dtype=torch.float64, generator=self.generator)
+        return low + (high - low) * share
 
     def cov(self, *shape: int, scale: float = 0.3) -> Tensor:
         """Covariances (*shape, D) x D, positive definite; ``scale`` is about their variance."""
         root = self.normal(*shape, shape[-1])
-        return scale * (
-            root @ root.mT / shape[-1] + 0.1 * torch.eye(shape[-1], dtype=torch.float64)
-        )
+        ridge = 0.1 * torch.eye(shape[-1], dtype=torch.float64)
+        return scale * (root @ root.mT / shape[-1] + ridge)
 
     def belief(self, *shape: int, scale: float = 0.3) -> Gaussian:
         """Beliefs of mean (*shape,), the variable's dimension last."""
@@ -48,6 +46,5 @@ class Draws:
     def network(self, m: int, D: int, E: int) -> KernelExpansion:
         """An RBF network of m centres and E outputs."""
         one = torch.ones(E, dtype=torch.float64)
-        return KernelExpansion(
-            self.normal(m, D), self.normal(E, m), self.uniform(0.7, 2.0, E, D), one
-        )
+        centres, weights = self.normal(m, D), self.normal(E, m)
+        return KernelExpansion(centres, weights, self.uniform(0.7, 2.0, E, D), one)

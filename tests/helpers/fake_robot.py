@@ -44,11 +44,5 @@ class FakeRobot:
 
 def fake_env(robot: FakeRobot, **settings: Any) -> PhysicalRobotEnv:
     """The environment of a fake robot with an operator who does nothing."""
-    defaults = {
-        "dim": 2,
-        "low": [-1.0, 0.0],
-        "high": [1.0, 3.0],
-        "control_period": PERIOD,
-        "operator": lambda: None,
-    }
-    return PhysicalRobotEnv(robot, **(defaults | settings))
+    defaults = {"dim": 2, "low": [-1.0, 0.0], "high": [1.0, 3.0], "control_period": PERIOD}
+    return PhysicalRobotEnv(robot, **{**defaults, "operator": lambda: None, **settings})

@@ -1,6 +1,4 @@
-"""The losses that several tests share: a pendulum that shows its tip, a random policy, and a random
-aim.
-"""
+"""Losses that tests share: a pendulum that shows its tip, with a random policy and aim."""
 
 from __future__ import annotations
 
@@ -29,16 +27,13 @@ SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), TIP)
 
 
 def make_parts(draws: Draws) -> tuple[RBFPolicy, GPDynamics]:
-    inputs = torch.cat(
-        [SPACE.features(draws.uniform(-1.5, 1.5, 25, 2)), draws.uniform(-2, 2, 25, 1)], -1
-    )
+    features = SPACE.features(draws.uniform(-1.5, 1.5, 25, 2))
+    inputs = torch.cat([features, draws.uniform(-2, 2, 25, 1)], -1)
+    targets = 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
     dynamics = GPDynamics(4, 2)
-    dynamics.set_data(
-        inputs, 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
-    )
-    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor(
-        [[[3.0, 1.5, 1.5, 4.0]], [[2.5, 1.8, 1.2, 5.0]]]
-    )
+    dynamics.set_data(inputs, targets)
+    lengthscales = torch.tensor([[[3.0, 1.5, 1.5, 4.0]], [[2.5, 1.8, 1.2, 5.0]]])
+    dynamics.gp.covar_module.base_kernel.lengthscale = lengthscales
     dynamics.gp.likelihood.noise = torch.full((2, 1), 1e-3)
     policy = RBFPolicy(draws.normal(5, 3), torch.tensor([2.0]), torch.ones(3))
     policy.weights.data.copy_(0.5 * draws.normal(5, 1))
@@ -47,9 +42,8 @@ def make_parts(draws: Draws) -> tuple[RBFPolicy, GPDynamics]:
 
 def make_kl(seed: int, **kwargs) -> TrajectoryKLLoss:
     draws = Draws(seed)
-    return TrajectoryKLLoss(
-        *make_parts(draws), SPACE, draws.belief(HORIZON, 2, scale=0.05), NOISE_STD, **kwargs
-    )
+    parts, demonstrated = make_parts(draws), draws.belief(HORIZON, 2, scale=0.05)
+    return TrajectoryKLLoss(*parts, SPACE, demonstrated, NOISE_STD, **kwargs)
 
 
 def make_cost(seed: int, **kwargs) -> ExpectedSaturatingCost:
@@ -84,6 +78,5 @@ def assert_gradient_is_the_difference_quotient(
 
 def start(initial: Gaussian) -> TensorDict:
     """What a loss reads of a start belief."""
-    return TensorDict(
-        {"observation": {"mean": initial.mean, "var": initial.cov}}, initial.batch_shape
-    )
+    belief = {"mean": initial.mean, "var": initial.cov}
+    return TensorDict({"observation": belief}, initial.batch_shape)

@@ -16,10 +16,7 @@ class LargestResult(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         result = func(*args, **(kwargs or {}))
         if not func.is_view:
-            tensors = [
-                t
-                for t in (result if isinstance(result, (tuple, list)) else (result,))
-                if isinstance(t, Tensor)
-            ]
-            self.numbers = max(self.numbers, *(t.numel() for t in tensors), 0)
+            results = result if isinstance(result, (tuple, list)) else (result,)
+            sizes = [one.numel() for one in results if isinstance(one, Tensor)]
+            self.numbers = max(self.numbers, *sizes, 0)
         return result

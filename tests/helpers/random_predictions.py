@@ -50,19 +50,12 @@ class Problem:
         }
         cotangents, gradients = copy.deepcopy(self.cotangents), {}
         for name, value in values.items():
-            of_value = torch.autograd.grad(
-                value,
-                [mean, cov, *parameters],
-                cotangents.normal(*value.shape),
-                retain_graph=True,
-                allow_unused=True,
-                materialize_grads=True,
-            )
+            leaves, cotangent = [mean, cov, *parameters], cotangents.normal(*value.shape)
+            unused = {"allow_unused": True, "materialize_grads": True}
+            slopes = torch.autograd.grad(value, leaves, cotangent, retain_graph=True, **unused)
             names = "start", "cov of start", "centres", "weights", "widths"
-            gradients |= {
-                f"{name} by {leaf}": gradient
-                for leaf, gradient in zip(names, of_value, strict=True)
-            }
+            for leaf, slope in zip(names, slopes, strict=True):
+                gradients[f"{name} by {leaf}"] = slope
         return {name: value.detach() for name, value in values.items()}, gradients
 
 
@@ -177,10 +170,8 @@ class ProblemDraws(Draws):
         if self.chance(0.3):
             policy, to_target = self.policy(features, F), self.normal(M)
             width = self.uniform(0.3, 3.0, 1).item()
-            weight = self.cov(M, scale=1.0)
-            return ExpectedSaturatingCost(
-                policy, dynamics, space, to_target, width, T, symmetric(weight)
-            )
+            weight = symmetric(self.cov(M, scale=1.0))
+            return ExpectedSaturatingCost(policy, dynamics, space, to_target, width, T, weight)
         noise_std = self.uniform(0.01, 0.3, M)
         if self.chance(0.7):
             demonstrated = self.belief(T, M)
@@ -194,7 +185,5 @@ class ProblemDraws(Draws):
     def start(self, *shape: int) -> Gaussian:
         """Beliefs with a covariance that is full, singular, or zero."""
         D, kind = shape[-1], self.whole(0, 2)
-        root = self.normal(*shape, (0, (D + 1) // 2, 2 * D)[kind])
-        return Gaussian(
-            self.normal(*shape), symmetric(self.logarithmic(1e-3, 0.3, 1) * root @ root.mT)
-        )
+        root, mean = self.normal(*shape, (0, (D + 1) // 2, 2 * D)[kind]), self.normal(*shape)
+        return Gaussian(mean, symmetric(self.logarithmic(1e-3, 0.3, 1) * root @ root.mT))

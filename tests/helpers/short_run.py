@@ -1,10 +1,8 @@
-"""A learning run of seconds, and ways to stop it; run as a script it is a process that a test can
-kill.
+"""A learning run of seconds, and ways to stop it; as a script it is a process for a test to kill.
 
     python -m tests.helpers.short_run FOLDER [PHASE COUNT]
 
-prints ``stopped`` in that phase, for the COUNT-th time that it comes there, and then waits to be
-killed.
+prints ``stopped`` when it comes to that phase for the COUNT-th time, and waits to be killed.
 """
 
 from __future__ import annotations

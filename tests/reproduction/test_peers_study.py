@@ -79,7 +79,7 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
     ahead = found.details["pendubot"]["ahead"][label]["25s"]
     assert ahead["difference"] == pytest.approx(0.75) and ahead["pairs"] == 10
     assert ahead["lower"] < 0.75 < ahead["upper"]
-    more = {"peers_double_pendulum_2", "peers_double_pendulum_servo_2"}
+    more = {"peers_double_pendulum_2"}
     assert set(found.figures) == {f"peers_{task}" for task in TASKS} | more
     drawn = [
         [text.get_text() for text in found.figures[name].legends[0].get_texts()]

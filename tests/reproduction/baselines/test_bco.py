@@ -47,7 +47,7 @@ def test_policy_does_in_the_demonstrated_states_what_the_inverse_model_infers() 
     assert (actions - inferred).square().mean() < 0.3 * inferred.var()
 
 
-def test_exploration_stays_within_the_limits() -> None:
+def test_exploration_stays_within_limits() -> None:
     peer = BCO(load_experiment("double_pendulum"), SEED, noise=10.0)
     actions = peer.explore(0, torch.zeros(50, 4, dtype=torch.float64))
     assert actions.abs().max() <= 3.5

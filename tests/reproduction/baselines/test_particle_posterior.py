@@ -36,13 +36,11 @@ def test_value_and_gradient_are_those_of_the_expansion(
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 
 
-def test_gradient_is_that_of_differences(expansion: KernelExpansion, draws: Draws) -> None:
-    x = draws.normal(4, 3).requires_grad_()
-    assert torch.autograd.gradcheck(ParticlePosterior(expansion).predict, (x,))
-
-
-def test_far_from_data_nothing_is_explained(expansion: KernelExpansion) -> None:
-    far = torch.full((1, 3), 1e3, dtype=torch.float64)
-    mean, variance = ParticlePosterior(expansion).predict(far)
+def test_gradient_is_that_of_differences_and_far_from_data_nothing_is_explained(
+    expansion: KernelExpansion, draws: Draws
+) -> None:
+    predict = ParticlePosterior(expansion).predict
+    assert torch.autograd.gradcheck(predict, (draws.normal(4, 3).requires_grad_(),))
+    mean, variance = predict(torch.full((1, 3), 1e3, dtype=torch.float64))
     assert torch.equal(mean, torch.full_like(mean, 0.3))
     assert torch.equal(variance, expansion.signal_variance[None])

@@ -36,10 +36,7 @@ def test_blended_torque_is_weighted_by_inverse_square_distances(draws: Draws) ->
     separate, state = policies(draws), draws.normal(2)
     target = torch.tensor([0.5, 0.0], dtype=torch.float64)
     weights = torch.tensor([4.0, 4.0, 1 / 4.25], dtype=torch.float64)
-    expected = (
-        sum(weight * policy(state) for weight, policy in zip(weights, separate, strict=True))
-        / weights.sum()
-    )
+    expected = weights @ torch.stack([policy(state) for policy in separate]) / weights.sum()
     torch.testing.assert_close(SeparatePolicies(separate, TARGETS)(state, target), expected)
 
 

@@ -15,9 +15,8 @@ ACTIONS = ActionSpace(("a", "b"), ("N", "N"), LOW, HIGH)
 
 def network(draws: Draws, weight: float, count: int = 30) -> SquashedNetwork:
     scale = torch.tensor([0.5, 1.0, 3.0], dtype=torch.float64)
-    policy = SquashedNetwork(
-        draws.normal(count, 3), scale, weight * draws.normal(count, 2), ACTIONS
-    )
+    centres, weights = draws.normal(count, 3), weight * draws.normal(count, 2)
+    policy = SquashedNetwork(centres, scale, weights, ACTIONS)
     policy.log_widths.data.copy_(0.3 * draws.normal(3))
     return policy
 

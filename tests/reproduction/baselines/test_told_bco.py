@@ -41,12 +41,9 @@ def test_told_velocities_are_those_with_which_the_demonstrator_moved() -> None:
     assert (states - differenced)[..., 1::2].abs().max() > 1  # rad/s
 
 
-def test_velocities_of_other_recordings_are_not_told() -> None:
+def test_velocities_of_other_recordings_and_actions_before_a_fit_are_refused() -> None:
     with pytest.raises(ValueError, match=r"of double_pendulum, .* got those of biorob"):
         ToldBCO(load_experiment("biorob"), SEED)
-
-
-def test_there_are_no_actions_before_a_fit() -> None:
     peer = ToldBCO(load_experiment("double_pendulum"), SEED)
     with pytest.raises(RuntimeError, match="call fit first"):
         peer.act(0, peer.demonstrated_states[:, 0])

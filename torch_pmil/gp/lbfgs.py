@@ -59,7 +59,8 @@ def minimise(
             ``max_iterations`` steps and ignores the tolerances.
 
     Raises:
-        NotFiniteError, or an error of ``survives``: the objective has no value at the start.
+        NotFiniteError: the objective is not finite at the start; an error of ``survives`` there is
+            raised as well.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))

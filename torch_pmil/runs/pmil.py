@@ -32,7 +32,7 @@ class PMIL:
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.tasks.own_robot.own_robot` takes: ``state``,
             the names of the observation's entries, ``angles``, ``match``, every field of
-            :class:`Task` and every setting of its :class:`Method`.
+            :class:`Task` and every setting of its :class:`~torch_pmil.tasks.method.Method`.
 
     ``task`` holds robot, demonstrations and settings. After :meth:`learn`, ``result`` is the
     finished run and ``policy`` a function from the robot's state to its action.

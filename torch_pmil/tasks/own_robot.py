@@ -97,8 +97,8 @@ def own_robot(
             demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
             :func:`~torch_pmil.tasks.with_history.with_history`.
-        settings: fields of :class:`Task` and settings of its :class:`Method`, by name, in place of
-            the defaults.
+        settings: fields of :class:`Task` and settings of its method
+            (:class:`~torch_pmil.tasks.method.Method`), by name, in place of the defaults.
 
     Raises:
         DemonstrationError: the demonstrations cannot be read, or do not fit the match space.

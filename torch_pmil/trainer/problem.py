@@ -38,7 +38,7 @@ class Problem:
         measured: a batch of robots on which every policy is measured from fresh starts; None for a
             robot that makes no motion but its own rollouts.
         box: limits of the motion. ``env`` stops where it leaves them, the exploration begins small
-            (:class:`~torch_pmil.control.cautious_motion.CautiousMotion`), and a policy that is
+            (:class:`~torch_pmil.control.exploration.CautiousMotion`), and a policy that is
             likely to leave them is refused, or runs for its first steps alone
             (:func:`~torch_pmil.search.admission.admit`).
 

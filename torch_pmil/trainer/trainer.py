@@ -51,7 +51,7 @@ class PMILTrainer(Trainer):
     :meth:`best_policy` then chooses among the policies that ran.
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
-    user registers by :meth:`register_op` runs at TorchRL's places of the loop.
+    user registers by ``register_op`` runs at TorchRL's places of the loop.
 
     With a ``checkpoint_rotation`` everything is saved once the robot has moved. :meth:`resume`
     continues from there, and ends with the very same parameters.

@@ -15,8 +15,7 @@ from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import EnvBase, SerialEnv, step_mdp
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
-
-SEEDS = 2**31 - 1  # of other environments
+from torch_pmil.seeds import SEEDS
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ class AdaptedEnv(RobotEnv):
                 f"{mask.numel()}"
             )
         self.cut_short = ""
-        self.base_env.set_seed(int(torch.randint(SEEDS, (), generator=self._generator)))
+        self.base_env.set_seed(int(torch.randint(SEEDS[1], (), generator=self._generator)))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
         self._turned = near.expand(*self.batch_size, len(self.angles))

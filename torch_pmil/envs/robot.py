@@ -14,8 +14,9 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from torch_pmil.seeds import LARGEST_SEED
+
 Array = NDArray[np.floating]
-LARGEST_SEED = 2**63 - 1
 
 
 class RobotEnv(EnvBase):

@@ -13,8 +13,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import check_finite, check_start_belief
-
-LARGEST_SEED = 2**63 - 1
+from torch_pmil.seeds import LARGEST_SEED
 
 
 def sample_trajectories(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -130,7 +130,7 @@ def _module(source: str) -> ModuleType:
 
 
 @contextmanager
-def _importing_from(folder: Path):  # type: ignore[no-untyped-def]
+def _importing_from(folder: Path) -> Iterator[None]:
     sys.path.insert(0, str(folder))
     try:
         yield

@@ -30,7 +30,7 @@ from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.seeds import Stream
+from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.outcome import Outcome
@@ -208,7 +208,7 @@ class Task(Settings):
 
     def problem(self, seed: int) -> Problem:
         """What a trainer solves, with a new policy and a model without data."""
-        policy = self.make_policy(torch.Generator().manual_seed(seed + Stream.POLICIES))
+        policy = self.make_policy(generator_of(Stream.POLICIES, seed))
         measured = None
         if self.evaluated:
             measured = self.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)

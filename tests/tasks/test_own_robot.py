@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -15,6 +16,7 @@ from torch_pmil import DemonstrationError, Demonstrations, Gaussian, MatchSpace,
 from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.rollouts import rollout_of, states_of
 from torch_pmil.tasks.own_robot import STARTS, own_robot
 from torch_pmil.tasks.site_match import site_match
 
@@ -240,8 +242,33 @@ def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
         own_robot(robot_of_a_file(), reaches(("q1", "q2")), 0.05)
 
 
-def test_robot_may_remember() -> None:
-    made = task(past_actions=1)
-    assert task().history is None and made.space.names == ("q", "dq", "0@1")
+def shifted(values: torch.Tensor, steps: int) -> torch.Tensor:
+    """Values (N, T, K) so many steps before; before the first they are the first."""
+    return torch.cat([values[:, :1].expand(-1, steps, -1), values[:, :-steps]], 1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "past", "names"),
+    [
+        ("actions", {"past_actions": 1}, ("q", "dq", "0@1")),
+        ("entries", {"past_entries": 2}, ("q", "dq", "q@1", "dq@1", "q@2", "dq@2")),
+        ("positions", {"positions_only": True, "past_actions": 2}, ("q", "dq", "0@1", "0@2")),
+    ],
+)
+def test_unbatched_robot_remembers(kind: str, past: dict, names: tuple[str, ...]) -> None:
+    """Rollouts in turn hold what the same robot shows, and did, in the periods before."""
+    made, plain = task(**past), task()
+    assert made.space.names == names
     rollouts = made.robots(3, seed=0).rollout(made.horizon)
-    assert torch.isfinite(made.error(rollouts)).all() and made.make_dynamics().num_outputs == 2
+    actions = iter(rollouts["action"].flatten(0, 1).unbind())
+    replayed = TensorDictModule(lambda _: next(actions), ["observation"], ["action"])
+    readings = states_of(plain.robots(3, seed=0).rollout(made.horizon, replayed))
+    taken = torch.cat([torch.full((3, 1, 1), -1.0).double(), rollouts["action"]], 1)  # at rest: -1
+    rates = (readings - shifted(readings, 1))[..., :1] / 0.1
+    expected = {
+        "actions": [readings, taken],
+        "entries": [readings, shifted(readings, 1), shifted(readings, 2)],
+        "positions": [readings[..., :1], rates, taken, shifted(taken, 1)],
+    }
+    torch.testing.assert_close(states_of(rollouts), torch.cat(expected[kind], -1))
+    torch.testing.assert_close(made.error(rollouts), plain.error(rollout_of(readings)))

@@ -188,7 +188,7 @@ class HistoryEnv(RobotEnv):
         seed = settings.get("seed")
         super().__init__(robot.batch_size, robot.control_period, robot.from_pixels, seed)
         self.robot, self.history, self.resting = robot, history, resting
-        self.physical = robot.physical
+        self.physical, self.turns = robot.physical, robot.turns
         limits, more = robot.action_spec.space, robot.observation_spec.clone()
         del more["observation"]
         self._set_specs(history.dim, limits.low, limits.high, dict(more.items()))

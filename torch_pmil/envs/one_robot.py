@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
-from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
-from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
 WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
 
@@ -86,9 +84,10 @@ class OneRobot:
             "from_pixels": from_pixels,
             "seed": seed,
         }
-        if num_envs is None:
-            return AdaptedEnv(self._made, self.control_period, **settings)
-        return RobotInTurn(num_envs, self._made, self.control_period, **settings)
+        check_num_envs(num_envs)
+        robot = AdaptedEnv(self._made, self.control_period, **settings)
+        robot.turns = num_envs
+        return robot
 
     @property
     def dim(self) -> int:
@@ -109,20 +108,6 @@ class OneRobot:
             if spec.dtype.is_floating_point and spec.ndim == 1
         ]
         return vectors[0] if len(vectors) == 1 else "observation"
-
-
-class RobotInTurn(AdaptedEnv):
-    """One robot whose rollouts from ``starts`` consecutive starts make one batch."""
-
-    def __init__(self, starts: int, *args: Any, **given: Any) -> None:
-        super().__init__(*args, **given)
-        self.starts = starts
-
-    def rollout(self, *args: Any, **given: Any) -> TensorDictBase:
-        """Rollouts (starts, T)."""
-        return torch.stack(
-            [super(RobotInTurn, self).rollout(*args, **given) for _ in range(self.starts)]
-        )
 
 
 def _check_physical(env: RobotEnv, control_period: float, angles: Sequence[CosSin]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +25,8 @@ class RobotEnv(EnvBase):
 
     An episode ends only by ``guard``. It is called with the states (*batch, D) after each step, and
     returns why the motion must end, or "". ``cut_short`` holds that reason until the next reset.
-    ``physical`` is True for a real robot, which makes no unnecessary motion.
+    ``physical`` is True for a real robot, which makes no unnecessary motion. A single robot with
+    ``turns`` starts that many times, one after the other, and these rollouts make one batch.
 
     Args:
         batch_size: of the robots.
@@ -37,6 +39,7 @@ class RobotEnv(EnvBase):
     """
 
     physical = False
+    turns: int | None = None
 
     def __init__(
         self,
@@ -55,6 +58,13 @@ class RobotEnv(EnvBase):
         self.cut_short = ""
         self._generator = torch.Generator()
         self._set_seed(seed)
+
+    def rollout(self, *args: Any, **given: Any) -> TensorDictBase:
+        """TorchRL's rollouts (*batch, T); (turns, T) of a robot that starts several times."""
+        roll = super().rollout
+        if self.turns is None:
+            return roll(*args, **given)
+        return torch.stack([roll(*args, **given) for _ in range(self.turns)])
 
     def get_extra_state(self) -> Tensor:
         """State of the generator of starts and noise, part of ``state_dict``."""

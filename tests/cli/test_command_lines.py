@@ -73,6 +73,8 @@ def make_recordings(folder: Path) -> None:
         "empty.csv": "",
         "own.csv": RECORDED + samples(1, 2),
         "single.csv": RECORDED + samples(1),
+        "milliseconds.csv": "demonstration,time,x1,y1,x2,y2\n"
+        + "".join(f"{n},{10 * k},{k},{n},1,2\n" for n in (1, 2) for k in range(200)),
         "targets.csv": "\n".join([f"{RECORDED[:-1]},target place", *targeted]),
         "still.csv": RECORDED + samples(1, 2, still=True),
         "columns.csv": f"{RECORDED}1,0,1,2,3\n",
@@ -122,6 +124,7 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
     }
 
 
+MILLISECONDS = "time looks like milliseconds, not seconds: steps of 10 where the robot acts"
 LINES = (
     ("nonsense", f"the command must be one of {', '.join(cli.COMMANDS)}, got 'nonsense'"),
     ("Train", COMMANDS),
@@ -170,7 +173,7 @@ LINES = (
     ("train robot=biorob", "there is no setting robot in robot=biorob: "),
     ("train demonstrations=missing.npz", "there is no file missing.npz"),
     ("train demonstrations=folder", f"folder: {FOLDER}"),
-    ("train demonstrations=empty.npz", "empty.npz: not a readable NPZ file"),
+    ("train demonstrations=empty.npz", "empty.npz: must be an NPZ file, got an empty file"),
     ("train demonstrations=latin.csv", "latin.csv: not a readable CSV file ('utf-8' codec"),
     ("train demonstrations=pipe.csv", "pipe.csv: must be a regular file of at most 64 MiB"),
     ("train demonstrations=loop.npz", "loop.npz: Too many levels of symbolic links"),
@@ -204,6 +207,7 @@ LINES = (
     ("train experiment=biorob random_action=0.5", "a setting of biorob must be one of noise_std, "),
     ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
     ("train settings=missing.yaml", "there is no file missing.yaml"),
+    ("train settings=~nosuchuser/x", "there is no folder ~nosuchuser"),
     ("train settings=", ".: must be a regular file of at most 16384 bytes, got a folder"),
     ("train settings=folder", "folder: must be a regular file of at most 16384 bytes, got a"),
     ("train settings=pipe.csv", "pipe.csv: must be a regular file of at most 16384 bytes, "),
@@ -251,7 +255,7 @@ LINES = (
     ("inspect missing.csv", "there is no file missing.csv"),
     ("inspect folder", f"folder: {FOLDER}"),
     ("inspect file", f"file: {KINDS}, got no suffix"),
-    ("inspect empty.csv", "empty.csv: row 1 must be demonstration,time,NAME,..., got nothing"),
+    ("inspect empty.csv", "empty.csv: must be a CSV file, got an empty file"),
     ("inspect binary.npz", f"binary.npz: not a readable NPZ file without object arrays ({NO_ZIP}"),
     ("inspect latin.csv", "latin.csv: not a readable CSV file"),
     ("inspect pipe.csv", "pipe.csv: must be a regular file of at most 64 MiB, got a pipe"),
@@ -259,7 +263,7 @@ LINES = (
     ("inspect headless.csv", "headless.csv: row 1 must be demonstration,time,NAME,..., got 1,2,3"),
     ("inspect columns.csv", "columns.csv: row 2 must have 4 columns, got 5"),
     ("inspect own.csv --keys z", "own.csv: keys must be some of x, y, got z"),
-    ("inspect own.csv --names x x", "own.csv: names must be 2 different names"),
+    ("inspect own.csv --names x x", "own.csv: names must be different, one per column, got 'x' 2"),
     ("inspect own.csv --time-step 0.1", "own.csv: time_step must be left out"),
     ("inspect own.csv --time-step fast", "argument --time-step: invalid float value: 'fast'"),
     ("inspect own.csv --control-period 0", "--control-period must be a positive finite number"),
@@ -304,6 +308,8 @@ LINES = (
         "align targets.csv out.npz",
         "each target must have at least two demonstrations, got one of [",
     ),
+    ("align milliseconds.csv out.npz", f"{MILLISECONDS} every 0.1 s; divide it by 1000, or name "),
+    ("train demonstrations=milliseconds.csv", f"{MILLISECONDS} every 0.1 s; divide it by 1000, or"),
     ("align own.csv out.npz --names a", "own.csv: names must be 2 different names"),
     ("draw out.txt", "out.txt: demonstrations are written to a .npz file"),
     ("draw nowhere/out.npz", "nowhere/out.npz: there is no folder nowhere"),

@@ -175,6 +175,18 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
     assert load_demonstrations("demonstrations.npz", 0.25).duration == 1.5
 
 
+def test_times_that_are_not_seconds_are_named_before_training(
+    inspect: Command, tmp_path: Path
+) -> None:
+    rows = [f"{number},{10 * step},{step}" for number in (1, 2) for step in range(100)]
+    (tmp_path / "reach.csv").write_text("\n".join(["demonstration,time,q", *rows]))
+    printed = inspect(tmp_path / "reach.csv")
+    assert "\n- time looks like milliseconds, not seconds: steps of 10 where the robot" in printed
+    assert "align them" not in printed
+    (tmp_path / "reach.csv").write_text("\n".join(["demonstration,time_s,q", *rows]))
+    assert "time looks like" not in inspect(tmp_path / "reach.csv")
+
+
 def test_picture_is_drawn_if_asked_and_a_column_of_words_is_one_line(
     inspect: Command, recorded: Path
 ) -> None:

@@ -62,7 +62,7 @@ MALFORMED = {  # the arguments beside the time step
         torch.zeros(5),
         "y",
     ],
-    "target_names must be 2 different names, one per entry, got ('y', 'y')": [
+    "target_names must be different, one per entry, got 'y' 2 times": [
         *FIVE,
         torch.zeros(5, 2),
         "yy",
@@ -114,7 +114,7 @@ def test_missing_files_and_other_kinds_are_refused(tmp_path):
 @pytest.mark.parametrize(
     "damage",
     [
-        *(lambda file, content=content: content for content in (b"", b"no archive", b"PK\3\4 cut")),
+        *(lambda file, content=content: content for content in (b"no archive", b"PK\3\4 cut")),
         *(lambda file, cut=cut: file[:cut] for cut in (10, 200, 400, -30)),
         lambda file: file[:250] + bytes([file[250] ^ 0xFF]) + file[251:],
     ],
@@ -132,9 +132,9 @@ MALFORMED_NPZ = {
     "arrays positions and time_step must hold real numbers": {
         "positions": np.full((2, 3, 1), "a"),
     },
-    "array time_step must be one number and names a list": {"time_step": np.ones(2)},
+    "array time_step must be one number and names a list of text": {"time_step": np.ones(2)},
     "positions must hold at least two demonstrations, got 1": {"positions": walk(1, 3, 2)},
-    "array targets must hold real numbers and target_names be a list": {
+    "array targets must hold real numbers and target_names be a list of text": {
         "targets": np.array([["a"]] * 3),
         "target_names": np.array(["y"]),
     },
@@ -164,7 +164,7 @@ def test_csv_holds_one_sample_per_row(tmp_path):
 
 
 MALFORMED_CSV = {
-    "row 1 must be demonstration,time,NAME,..., got nothing": [],
+    "must be a CSV file, got an empty file": [],
     "row 1 must be demonstration,time,NAME,..., got time,x,y": with_row(CSV, 1, "time,x,y"),
     "at least two demonstrations are needed, got 1": CSV[:5],
     "demonstration 2 must have 4 samples like demonstration 1, got 3; pmil align makes them one "
@@ -174,14 +174,12 @@ MALFORMED_CSV = {
     "row 3, column y must be a finite number, got 'nan'": with_row(CSV, 3, "1,0.1,5,nan"),
     "row 9, time must follow the sample before it by 0.1 s, got 0.2 s; pmil align makes steps one "
     "length": with_row(CSV, 9, "2,0.4,5,0"),
-    "row 3, time must increase, got 0 s after 0 s": with_row(CSV, 3, "1,0.0,5,0"),
-    "names must be 2 different names, one per column, got ('x', 'x')": (
-        with_row(CSV, 1, "demonstration,time,x,x")
-    ),
+    "row 3, time must increase, got 0.0 s after 0.0 s": with_row(CSV, 3, "1,0.0,5,0"),
+    "row 1 must hold a column x once, got 2 of them": (with_row(CSV, 1, "demonstration,time,x,x")),
     "row 4, column target height must be 0.5 as in row 2 of the same demonstration, got 0.7": (
         with_row(REACHES, 4, REACHES[3].replace(",0,0.5", ",0,0.7"))
     ),
-    "target_names must be 2 different names, one per entry, got ('place', 'place')": (
+    "row 1 must hold a column target place once, got 2 of them": (
         with_row(REACHES, 1, REACHES[0].replace("height", "place"))
     ),
     "each target must have at least two demonstrations, got one of [2.0, 0.5]": REACHES[:-4],

@@ -171,6 +171,28 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
     assert made.demonstrations.time_step == 0.1
 
 
+def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_path: Path) -> None:
+    def made(column: str, per_second: int) -> torch.Tensor:
+        rows = [f"demonstration,{column},q,dq,note,note"]
+        for number, samples in enumerate((180, 200, 220)):
+            for step in range(samples + 1):
+                s = step / samples
+                time = step * per_second / 100
+                rows.append(f"{number},{time:.16g},{s**2},{200 * s / samples},slow,")
+        (tmp_path / "recorded.csv").write_text("\n".join(rows) + "\n")
+        return own_robot(
+            Arm(), tmp_path / "recorded.csv", 0.1, state=("q", "dq")
+        ).demonstrations.positions
+
+    right = made("time", 1)  # columns that are not entries of the state may hold anything
+    assert right.shape == (3, 21, 2)
+    torch.testing.assert_close(made("time_ms", 1000), right, rtol=0, atol=1e-9)
+    torch.testing.assert_close(made("timestamp [ns]", 10**9), right, rtol=0, atol=1e-9)
+    for looks, per_second in (("milliseconds", 1000), ("frame numbers", 100)):
+        with pytest.raises(DemonstrationError, match=f"^time looks like {looks}, not seconds: "):
+            made("time", per_second)
+
+
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [

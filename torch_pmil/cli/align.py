@@ -38,6 +38,7 @@ from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.demonstrations.time_unit import check_times
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
 
@@ -56,6 +57,8 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
         raise AlignmentError(
             f"velocities must be columns of {', '.join(known)}, got {', '.join(unknown)}"
         )
+    if not recordings.in_seconds:
+        check_times(recordings.times, options.time_step)
     preprocessed = [
         preprocessed_one(*one, known, options)
         for one in zip(recordings.times, recordings.values, strict=True)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
+from typing import BinaryIO
 
-from torch_pmil.files import MIB, FileError, LineError
+from torch_pmil.files import MIB, FileError, LineError, opened, short
 
 # raised by parsers at damaged bytes; UnicodeDecodeError is a ValueError, NotImplementedError a
 # RuntimeError
@@ -26,6 +29,21 @@ DAMAGE = (
 FILE_BYTES = 256 * MIB  # of a file that is read as a whole
 TEXT_BYTES = 64 * MIB  # of a CSV file, whose cells take ten times that, or a MATLAB file
 SET_BYTES = 2**40  # of a data set of which columns are read, beside its pictures
+NAME = 200  # characters of the name of an entry
+HEAD = 64  # bytes by which a file shows what it is
+SIGNS = {  # with which files begin, whatever their suffix
+    b"version https://git-lfs": "a Git LFS pointer: git lfs pull fetches the file it stands for",
+    b"<!doctype html": "a web page",
+    b"<html": "a web page",
+    b"\x1f\x8b": "a gzip archive",
+    b"PK\3\4": "a ZIP archive",
+    b"\x89HDF": "an HDF5 file",
+    b"PAR1": "a Parquet file",
+    b"MATLAB 5": "a MATLAB file",
+    b"\x93NUMPY": "a single array of NumPy",
+    b"\xff\xfe": "text in UTF-16, not UTF-8",
+    b"\xfe\xff": "text in UTF-16, not UTF-8",
+}
 MOST = {
     "demonstrations": 10_000,
     "entries": 10_000,  # of a sample
@@ -74,11 +92,56 @@ def check_count(things: str, count: int) -> None:
 
 
 def check_names(names: Sequence[str], count: int, name: str = "names", of: str = "column") -> None:
-    """Raise DemonstrationError unless there are as many names as columns, all different."""
-    if count < 1 or len(names) != count or len(set(names)) != count:
+    """Raise DemonstrationError unless there are as many names as columns, all different.
+
+    Each is a line of at most ``NAME`` characters that is not empty.
+    """
+    if count < 1 or len(names) != count:
         raise DemonstrationError(
-            f"{name} must be {count} different names, one per {of}, got {tuple(names)}"
+            f"{name} must be {count} different names, one per {of}, got {short(tuple(names))}"
         )
+    for held in map(str, names):
+        if not (held.strip() and held.isprintable() and len(held) <= NAME):
+            raise DemonstrationError(
+                f"{name} must have 1 to {NAME} printable characters, got {short(held)}"
+            )
+    for held, times in Counter(names).items():
+        if times > 1:
+            raise DemonstrationError(
+                f"{name} must be different, one per {of}, got {held!r} {times} times"
+            )
+
+
+def check_kind(kind: str, head: bytes, sign: bytes = b"") -> None:
+    """Raise DemonstrationError if a file is empty, or begins as one of another kind does.
+
+    Args:
+        kind: that it must be.
+        head: its first bytes.
+        sign: its own one of ``SIGNS``.
+
+    Example:
+        >>> check_kind("a Parquet file", b"PAR1", b"PAR1")
+        >>> try:
+        ...     check_kind("a CSV file", b"PAR1")
+        ... except DemonstrationError as error:
+        ...     print(error)
+        must be a CSV file, got a Parquet file
+    """
+    text = head[:HEAD].lstrip(b"\xef\xbb\xbf \t\r\n")
+    begun = [begin for begin in SIGNS if text.startswith(begin) or text.lower().startswith(begin)]
+    if not text or (begun and begun != [sign]):
+        found = SIGNS[begun[0]] if begun else "an empty file"
+        raise DemonstrationError(f"must be {kind}, got {found}")
+
+
+@contextmanager
+def opened_set(path: Path, kind: str, sign: bytes) -> Iterator[BinaryIO]:
+    """A data set's file, open for reading, unless it is of another kind (see check_kind)."""
+    with opened(path, SET_BYTES) as file:
+        check_kind(kind, file.read(HEAD), sign)
+        file.seek(0)
+        yield file
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.recordings import ALIGN, Recordings
+from torch_pmil.demonstrations.time_unit import doubt_of_times
 
 SAMPLES = 101  # of a stretched demonstration
 ROUNDING = 1e-9  # of the largest number: smaller ones are shown as 0
@@ -67,8 +68,9 @@ def advice(
         control_period: of the robot, in s.
         options: with which the file was read, for the same command.
     """
-    late = list(_timing(recordings, control_period))
-    found = [*_too_few(recordings), *late]
+    doubt = "" if recordings.in_seconds else doubt_of_times(recordings.times, control_period)
+    late = [] if doubt else list(_timing(recordings, control_period))
+    found = [*_too_few(recordings), *filter(None, [doubt]), *late]
     velocities = [recordings.names[column] for column in velocities_of(recordings)]
     if late and len(recordings.labels) > 1:
         step = ["--time-step", f"{control_period:g}"]

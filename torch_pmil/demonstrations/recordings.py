@@ -27,6 +27,8 @@ class Recordings:
         units: of the M entries, if known.
         format: of the file.
         places: name of each sample in messages, such as "row 3"; by default its number.
+        in_seconds: whether the unit of the times is certain. Otherwise times that are implausible
+            for a robot's control period are refused.
 
     Raises:
         DemonstrationError: there is no demonstration or entry, a shape is wrong, a name occurs
@@ -48,6 +50,7 @@ class Recordings:
     units: tuple[str, ...] = ()
     format: str = ""
     places: tuple[tuple[str, ...], ...] = ()
+    in_seconds: bool = False
 
     def __post_init__(self) -> None:
         entries = len(self.names)
@@ -80,8 +83,8 @@ class Recordings:
         for sample in (~(times.diff() > 0)).nonzero().flatten().tolist()[:1]:
             before, after = times[sample : sample + 2].tolist()
             raise DemonstrationError(
-                f"{self.place(demonstration, sample + 1)}, time must increase, got {after:g} s "
-                f"after {before:g} s"
+                f"{self.place(demonstration, sample + 1)}, time must increase, got {after} s "
+                f"after {before} s"
             )
 
     @property
@@ -132,6 +135,6 @@ class Recordings:
         for demonstration, step in wrong.nonzero()[:1].tolist():
             raise DemonstrationError(
                 f"{self.place(demonstration, step + 1)}, time must follow the sample before it by "
-                f"{expected:g} s, got {steps[demonstration, step].item():g} s; {ALIGN} makes steps "
-                "one length"
+                f"{expected:.9g} s, got {steps[demonstration, step].item():.9g} s; {ALIGN} makes "
+                "steps one length"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -247,7 +248,7 @@ def with_file(words: Sequence[str]) -> list[str]:
     if not files:
         return list(words)
     given, place = {word.partition("=")[0] for word in words}, words.index(files[0])
-    content = read_settings(Path(files[0].removeprefix(FILE)).expanduser())
+    content = read_settings(Path(os.path.expanduser(files[0].removeprefix(FILE))))
     further = [word_of(name, value) for name, value in content.items() if name not in given]
     return [*words[:place], *further, *words[place + 1 :]]
 

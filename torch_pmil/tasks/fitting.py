@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -49,6 +50,8 @@ def fitting(
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
     demonstrations = demonstrations.in_order(space.match_space.names)
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+        samples = torch.arange(demonstrations.positions.shape[1], dtype=torch.float64)
+        check_times([demonstrations.time_step * samples], env.control_period)
         raise DemonstrationError(
             f"demonstrations must have a time step of {env.control_period} s, the robot's control "
             f"period, got {demonstrations.time_step} s; pmil align --time-step "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -22,6 +23,7 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
@@ -115,10 +117,11 @@ def own_robot(
         >>> task.space.feature_names
         ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
     """
-    recorded = _read(demonstrations)
     if isinstance(env, MujocoRobot):
         state, units, angles = state or env.names, units or env.units, angles or env.turning
         settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
+    of_match = match.names if isinstance(match, MatchSpace) else () if match else state
+    recorded = _read(demonstrations, tuple(of_match))
     if isinstance(match, str):
         if not isinstance(env, MujocoRobot):
             raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
@@ -192,8 +195,11 @@ def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
     return env
 
 
-def _read(demonstrations: Recorded) -> Demonstrations | Recordings:
+def _read(demonstrations: Recorded, wanted: Sequence[str]) -> Demonstrations | Recordings:
+    """Recordings of the wanted entries if a file has them all, or else of all its entries."""
     if isinstance(demonstrations, str | os.PathLike):
+        with suppress(DemonstrationError):
+            return load_recordings(demonstrations, keys=wanted)
         return load_recordings(demonstrations)
     if not isinstance(demonstrations, Recordings | Demonstrations):
         raise TypeError(
@@ -268,6 +274,8 @@ def _at_control_rate(
     same_length = len({len(times) for times in recorded.times}) == 1
     if same_length and torch.allclose(steps, as_wanted, rtol=TIME_STEP_TOLERANCE):
         return recorded.demonstrations()
+    if not recorded.in_seconds:
+        check_times(recorded.times, control_period)
     shown = [name for name in recorded.names if name in velocities]
     return synchronise(recorded, control_period, shown)
 

@@ -47,10 +47,15 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("time,x,z\n0,1,2", "row 1 must be time,x,y as in the files before it, got time,x,z"),
+        (
+            "time,x,z\n0,1,2",
+            "row 1 must have the columns of the files before it, unless keys choose some, but y is "
+            "only in those",
+        ),
+        ("time,y,x,x\n0,1,2,3", "row 1 must hold a column x once, got 2 of them"),
         ("x,y\n1,2", "row 1 must be time,NAME,..., got x,y"),
         ("time,x,y\n0,1,2\n0.1,1,far", "row 3, column y must be a finite number, got 'far'"),
-        ("time,x,y\n0,1,2\n0,1,2", "row 3, time must increase, got 0 s after 0 s"),
+        ("time,x,y\n0,1,2\n0,1,2", "row 3, time must increase, got 0.0 s after 0.0 s"),
     ],
 )
 def test_malformed_file_of_a_folder_is_named(folder: Path, change: str, message: str) -> None:
@@ -110,3 +115,86 @@ def test_folder_of_no_format_is_refused(tmp_path: Path) -> None:
         "metadata.json, *.csv, *.mat, got none"
     )
     assert refused(load_recordings, tmp_path) == f"{tmp_path}: {message}"
+
+
+PLAIN = "demonstration,time,x,y\n1,0,1,2\n1,0.5,3,4\n2,0,5,6\n2,0.5,7,8\n"
+NOTES = PLAIN.replace("y\n", "y,note,note,\n", 1).replace("5,3,4", "5,3,4,slow,nan,")
+WRITTEN = {
+    "byte order mark": "\ufeff" + PLAIN,
+    "line ends of Windows": PLAIN.replace("\n", "\r\n"),
+    "semicolons": PLAIN.replace(",", ";"),
+    "tabs": PLAIN.replace(",", "\t"),
+    "spaces": PLAIN.replace(",", " , "),
+    "quotes after spaces": PLAIN.replace("demonstration,time,x", '"demonstration", "time", "x"'),
+    "blank lines": PLAIN.replace("\n", "\n\n  \n,,,\n"),
+    "empty last column": PLAIN.replace("\n", ",\n"),
+    "empty cells after the rows": PLAIN.replace("4\n", "4,,\n"),
+    "empty names after the header": PLAIN.replace("y\n", "y,,\n", 1),
+    "milliseconds": PLAIN.replace("time", "Time [ms]").replace("0.5", "500"),
+    "nanoseconds": PLAIN.replace("time", "timestamp_ns").replace("0.5", "500000000"),
+    "microseconds": PLAIN.replace("time", "t (µs)").replace("0.5", "500000"),
+    "seconds": PLAIN.replace("time", "time_s"),
+    "another name of the time": PLAIN.replace("time", "timestamp"),
+}
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_tables_of_other_programs_hold_the_same_numbers(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "walks.csv"
+    path.write_text(WRITTEN[kind], encoding="utf-8", newline="")
+    read = load_recordings(path)
+    assert (read.labels, read.names) == (("1", "2"), ("x", "y"))
+    assert [one.tolist() for one in read.times] == [[0.0, 0.5]] * 2
+    assert [one.tolist() for one in read.values] == [[[1, 2], [3, 4]], [[5, 6], [7, 8]]]
+    assert read.in_seconds == (kind.endswith("seconds"))
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["note,y,time,note,demonstration,x", "demonstration,time,,x,y", "demonstration,x,y,time,"],
+)
+def test_columns_that_keys_leave_out_may_be_named_and_hold_anything(
+    tmp_path: Path, header: str
+) -> None:
+    cells = {"demonstration": "ab", "time": "00", "x": "13", "y": "24"}
+    rows = [",".join(cells.get(name, "??")[row] for name in header.split(",")) for row in (0, 1)]
+    (tmp_path / "walks.csv").write_text("\n".join([header, *rows]))
+    read = load_recordings(tmp_path / "walks.csv", keys=["y", "x"])
+    assert [one.tolist() for one in read.values] == [[[2, 1]], [[4, 3]]]
+
+
+def test_files_of_a_folder_may_differ_in_columns_that_keys_leave_out(folder: Path) -> None:
+    before = load_recordings(folder, keys=["y"])
+    content = (folder / "demo_9.csv").read_text().replace("time,x,y", "time,z,y")
+    (folder / "demo_9.csv").write_text(content.replace(",1.0,", ",lost,"))
+    after = load_recordings(folder, keys=["y"])
+    assert all(map(torch.equal, before.values, after.values))
+    turned = [",".join(reversed(line.split(","))) for line in content.splitlines()]
+    (folder / "demo_9.csv").write_text("\n".join(turned))
+    assert all(map(torch.equal, before.values, load_recordings(folder, keys=["y"]).values))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (PLAIN.replace("y", "", 1), "names must have 1 to 200 printable characters, got ''"),
+        (
+            PLAIN.replace("y", "y" * 10**5, 1),
+            f"names must have 1 to 200 printable characters, got '{'y' * 56}...{'y' * 59}'"[:70],
+        ),
+        (PLAIN.replace("\n2,", "\n,"), "row 4, column demonstration must hold a name, got none"),
+        (PLAIN.replace("time", "frame"), "row 1 must be demonstration,time,NAME,..., got demon"),
+        (PLAIN.replace("time,x", "time_ms,time_s"), "row 1 must be demonstration,time,NAME,..., "),
+        (PLAIN.replace("0.5,3", '"0,5",3'), "row 3, column time must be a finite number, got '0,5"),
+        (PLAIN.replace("0.5", "1694012345.25").replace(",0,", ",1694012345.5,"), "row 3, time must "
+         "increase, got 1694012345.25 s after 1694012345.5 s"),
+        (
+            "demonstration,time," + ",".join(f"c{n}" for n in range(123)) + ",c7\n1" + 125 * ",1",
+            "row 1 must hold a column c7 once, got 2 of them",
+        ),
+    ],
+)  # fmt: skip
+def test_refusal_says_what_is_there(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "walks.csv").write_text(content)
+    complaint = refused(load_recordings, tmp_path / "walks.csv")
+    assert complaint.startswith(f"{tmp_path / 'walks.csv'}: {message}")

@@ -123,7 +123,7 @@ def test_damaged_structure_names_demonstration_and_key(
     assert refused(load_recordings, robomimic, keys=keys) == f"{robomimic}: {message}"
 
 
-@pytest.mark.parametrize("part", [0.0, 0.01, 0.3, 0.9])
+@pytest.mark.parametrize("part", [0.01, 0.3, 0.9])
 def test_truncated_hdf5_is_refused(robomimic: Path, part: float) -> None:
     content = robomimic.read_bytes()
     robomimic.write_bytes(content[: int(part * len(content))])

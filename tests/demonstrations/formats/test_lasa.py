@@ -79,7 +79,10 @@ def cells(*strokes: object) -> np.ndarray:
                 (5.0, " must hold numbers t, found []"),
                 (stroke(pos="word"), " must hold numbers pos, found ['pos', 't', 'vel']"),
                 (stroke(pos=np.zeros((2, 3))), ", pos must have shape (2, 4), got (2, 3)"),
-                (stroke(t=np.zeros((1, 4))), ", sample 1, time must increase, got 0 s after 0 s"),
+                (
+                    stroke(t=np.zeros((1, 4))),
+                    ", sample 1, time must increase, got 0.0 s after 0.0 s",
+                ),
             )
         ),
     ],

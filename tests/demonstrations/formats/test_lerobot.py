@@ -175,3 +175,19 @@ def test_data_set_without_frames_is_refused(data_set: Path) -> None:
     file.unlink()
     complaint = "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
     assert refused(load_recordings, data_set) == f"{data_set}: {complaint}"
+
+
+def test_columns_that_are_not_asked_for_may_be_ragged_or_twice(data_set: Path) -> None:
+    ragged = pa.array([[0.0] * (row % 3) if row % 5 else None for row in range(62)])
+    changed(data_set, "observation.object", ragged)
+    table = pq.read_table(file_of(data_set))
+    for name in ("observation.twice", "observation.twice", "note"):
+        table = table.append_column(name, pa.array(["?"] * 62))
+    pq.write_table(table, file_of(data_set))
+    read, whole = load_recordings(data_set), load_recordings(WRITTEN)
+    assert read.names == whole.names and all(map(torch.equal, read.values, whole.values))
+    message = "column observation.object must hold numbers like row 0, got "
+    assert message in refused(load_recordings, data_set, keys=["observation.object"])
+    pq.write_table(table.select(["episode_index", "timestamp", "note"]), file_of(data_set))
+    message = "columns observation... of numbers are missing, found episode_index, timestamp, note"
+    assert refused(load_recordings, data_set) == f"{data_set}: {FILE}: {message}"

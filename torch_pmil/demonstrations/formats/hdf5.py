@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torch_pmil.demonstrations.errors import (
-    SET_BYTES,
     DemonstrationError,
     check_count,
+    opened_set,
     optional,
     readable,
 )
@@ -30,7 +30,7 @@ from torch_pmil.demonstrations.formats.entries import (
     recordings_of,
 )
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import MIB, opened, read_json, short
+from torch_pmil.files import MIB, read_json, short
 
 
 class _Layout(NamedTuple):
@@ -66,11 +66,18 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     """
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
-    kind = readable("HDF5 file", zlib.error)
-    with opened(path, SET_BYTES) as file, kind, h5py.File(file) as content:
+    with (
+        opened_set(path, "an HDF5 file", b"\x89HDF") as file,
+        readable("HDF5 file", zlib.error),
+        h5py.File(file) as content,
+    ):
         layout, root, labels = _layout(content)
         step = time_step if time_step is not None else _time_step(root)
         first = _datasets(_member(root, f"{labels[0]}/{layout.observed}"))
+        if not first:
+            raise DemonstrationError(
+                f"{labels[0]}/{layout.observed} must hold data sets of numbers, found none"
+            )
         groups = {key: names_of(key, data.shape) for key, data in first.items()}
         entries = choose(groups, keys, list(first) if len(first) == 1 else ())
         needed = sorted({entry.key for entry in entries})

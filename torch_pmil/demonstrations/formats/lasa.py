@@ -22,9 +22,11 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from torch_pmil.demonstrations.errors import (
+    HEAD,
     TEXT_BYTES,
     DemonstrationError,
     check_count,
+    check_kind,
     readable,
 )
 from torch_pmil.demonstrations.formats.entries import choose, recordings_of
@@ -51,6 +53,7 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
             f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}"
         )
     file = read_bytes(path, TEXT_BYTES)
+    check_kind("a MATLAB file", file[:HEAD], b"MATLAB 5")
     with readable("MATLAB file", zlib.error, struct.error, MatReadError):
         _check_arrays(file)
         content = loadmat(io.BytesIO(file), variable_names=["demos"], simplify_cells=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from torch_pmil.demonstrations.errors import (
-    SET_BYTES,
     DemonstrationError,
     check_count,
+    opened_set,
     optional,
     readable,
     within,
@@ -25,7 +26,7 @@ from torch_pmil.demonstrations.formats.entries import (
     recordings_of,
 )
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import opened, read_json, short
+from torch_pmil.files import read_json, short
 
 INDEX = ("episode_index", "timestamp")  # columns that each file has
 OBSERVED = "observation"  # prefix of the columns that may be read; no actions
@@ -54,13 +55,14 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         raise DemonstrationError(
             "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
         )
-    frames = _joined(_tables(files, path))
+    default = ["observation.state"]
+    frames = _joined(_tables(files, path, keys or default))
     episodes, stamps = (frames.pop(name) for name in INDEX)
     if not len(episodes):
         raise DemonstrationError("there must be frames, found none")
     for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
         raise DemonstrationError(f"row {row}, column episode_index must hold a number, got none")
-    entries = choose(_groups(frames, info), keys, ["observation.state"])
+    entries = choose(_groups(frames, info), keys, default)
     order = np.argsort(episodes, kind="stable")
     labels, starts = np.unique(episodes[order], return_index=True)
     check_count("demonstrations", len(labels))
@@ -83,13 +85,23 @@ def _info(folder: Path) -> dict[str, Any]:
     return info
 
 
-def _tables(files: Sequence[Path], root: Path) -> list[dict[str, np.ndarray]]:
-    """Readable columns of each file: (T,) or (T, width) each."""
+def _tables(files: Sequence[Path], root: Path, keys: Sequence[str]) -> list[dict[str, np.ndarray]]:
+    """Readable columns of each file: (T,) or (T, width) each.
+
+    Lists of several lengths are left out, unless ``keys`` name the column.
+    """
     tables: list[dict[str, np.ndarray]] = []
     for file in files:
         with within(file.relative_to(root)) if file != root else nullcontext():
             table = _table(file)
-            tables.append({name: _array(name, table[name]) for name in table.column_names})
+            columns = {name: table[name] for name in table.column_names}
+            tables.append(
+                {
+                    name: _array(name, column)
+                    for name, column in columns.items()
+                    if name in keys or not len(_uneven(column))
+                }
+            )
         check_count("numbers", sum(column.size for table in tables for column in table.values()))
     return tables
 
@@ -97,12 +109,13 @@ def _tables(files: Sequence[Path], root: Path) -> list[dict[str, np.ndarray]]:
 def _table(file: Path) -> Any:
     pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
     with (
-        opened(file, SET_BYTES) as raw,
+        opened_set(file, "a Parquet file", b"PAR1") as raw,
         readable("Parquet file", pyarrow.ArrowException),
         parquet.ParquetFile(raw) as content,
     ):
         schema = content.schema_arrow
-        missing = set(INDEX) - set(schema.names)
+        once = [name for name, times in Counter(schema.names).items() if times == 1]
+        missing = set(INDEX) - set(once)
         if missing:
             raise DemonstrationError(
                 f"column {min(missing)} is missing, found {', '.join(schema.names)}"
@@ -113,9 +126,13 @@ def _table(file: Path) -> Any:
                 raise DemonstrationError(f"column {name} must hold numbers, got {kind}")
         observed = [
             name
-            for name in schema.names
+            for name in once
             if name.startswith(OBSERVED) and _is_numeric(schema.field(name).type)
         ]
+        if not observed:
+            raise DemonstrationError(
+                f"columns {OBSERVED}... of numbers are missing, found {', '.join(schema.names)}"
+            )
         check_count("entries", len(observed))
         check_count("numbers", _size(content.metadata, (*INDEX, *observed)))
         return content.read(columns=[*INDEX, *observed])
@@ -145,15 +162,21 @@ def _is_numeric(kind: Any) -> bool:
 def _array(name: str, column: Any) -> np.ndarray:
     if not (_is_list(column.type) and len(column)):
         return column.to_numpy().astype(np.float64)
-    compute = optional("pyarrow.compute")
-    widths = compute.list_value_length(column).to_numpy()
-    for odd in np.flatnonzero(widths != widths[0])[:1]:  # without a list it is NaN
+    for odd in _uneven(column)[:1]:
         raise DemonstrationError(
             f"row {odd}, column {name} must hold numbers like row 0, got "
             f"{short(column[odd.item()].as_py())}"
         )
-    numbers = compute.list_flatten(column).to_numpy().astype(np.float64)
-    return numbers.reshape(len(column), int(widths[0]))
+    numbers = optional("pyarrow.compute").list_flatten(column).to_numpy().astype(np.float64)
+    return numbers.reshape(len(column), len(numbers) // len(column))
+
+
+def _uneven(column: Any) -> np.ndarray:
+    """Rows with a list of another length than the first, or without one."""
+    if not (_is_list(column.type) and len(column)):
+        return np.array([], int)
+    widths = optional("pyarrow.compute").list_value_length(column).to_numpy()
+    return np.flatnonzero(widths != widths[0])  # without a list it is NaN
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -11,12 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torch_pmil.demonstrations.dataset import Demonstrations
 from torch_pmil.demonstrations.errors import (
     FILE_BYTES,
+    HEAD,
     DemonstrationError,
     check_count,
+    check_kind,
     readable,
 )
 from torch_pmil.demonstrations.formats.entries import choose
@@ -47,6 +50,7 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     """The demonstrations of an NPZ file, with all entries or those that keys name."""
     content = read_bytes(path, FILE_BYTES)
+    check_kind("an NPZ file", content[:HEAD], b"PK\3\4")
     with readable("NPZ file without object arrays", struct.error, tokenize.TokenError):
         members = read_zip(content, FILE_BYTES, stored=False)
         arrays = {
@@ -61,12 +65,17 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
         entries = choose({name: [name] for name in names}, keys, ())
         columns = [names.index(entry.name) for entry in entries]
     return Demonstrations(
-        torch.from_numpy(arrays["positions"])[..., columns],
+        _tensor(arrays["positions"])[..., columns],
         arrays["time_step"].item(),
         tuple(np.array(names)[columns]),
-        None if targets is None else torch.from_numpy(targets),
+        None if targets is None else _tensor(targets),
         tuple(arrays.get("target_names", ())),
     )
+
+
+def _tensor(numbers: np.ndarray) -> Tensor:
+    """Numbers of any precision and byte order, which PyTorch does not take."""
+    return torch.from_numpy(numbers.astype(np.float64))
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
@@ -89,11 +98,17 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
             raise DemonstrationError(f"array {name} is missing, found {sorted(arrays)}")
     if arrays["positions"].dtype.kind not in "fiu" or arrays["time_step"].dtype.kind not in "fiu":
         raise DemonstrationError("arrays positions and time_step must hold real numbers")
-    if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
-        raise DemonstrationError("array time_step must be one number and names a list")
+    if arrays["time_step"].shape != () or not _is_text(arrays["names"]):
+        raise DemonstrationError("array time_step must be one number and names a list of text")
     check_count("entries", len(arrays["names"]))
-    targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
+    targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([], str))
     real = targets is None or targets.dtype.kind in "fiu"
-    if not real or target_names.ndim != 1:
-        raise DemonstrationError("array targets must hold real numbers and target_names be a list")
+    if not real or not _is_text(target_names):
+        raise DemonstrationError(
+            "array targets must hold real numbers and target_names be a list of text"
+        )
     check_count("entries", len(target_names))
+
+
+def _is_text(names: np.ndarray) -> bool:
+    return names.ndim == 1 and names.dtype.kind == "U"

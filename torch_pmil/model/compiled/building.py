@@ -29,6 +29,8 @@ from numba.core import cgutils, event
 from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
+from torch_pmil.model.compiled.checked_cache import CheckedCache, is_private_folder
+
 # arrays of float64, and these by their number of dimensions, C-contiguous
 Array = NDArray[np.float64]
 Array1 = Annotated[Array, 1]
@@ -128,7 +130,7 @@ def compile_all() -> Path | None:
         for kernel in KERNELS:
             kernel.compile()
     progress.clear()
-    return _cache_folder()
+    return None if CheckedCache.lost else _cache_folder()
 
 
 class _Progress(event.Listener):
@@ -191,7 +193,10 @@ def _cached(dispatcher: Any) -> Iterator[None]:
         folder = _cache_folder()
         if folder is not None:
             config.CACHE_DIR = str(folder)
-            dispatcher.enable_caching()
+            try:
+                dispatcher._cache = CheckedCache(dispatcher.py_func)
+            except RuntimeError:  # it was removed, or the disk became full
+                CheckedCache.lose("it cannot be written to")
         yield
     finally:
         config.CACHE_DIR = before
@@ -199,7 +204,7 @@ def _cached(dispatcher: Any) -> Iterator[None]:
 
 @functools.cache
 def _cache_folder() -> Path | None:
-    """A folder that changes with any file of the kernels; None, with a warning, if there is none.
+    """A private folder that changes with any file of the kernels; None, with a warning, if none.
 
     Numba itself notices a change in a function's own file only.
     """
@@ -211,12 +216,14 @@ def _cache_folder() -> Path | None:
     for base in bases:
         folder = base / f"kernels-{version}"
         with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK):
+            base.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if os.access(folder, os.W_OK) and is_private_folder(folder):
                 return folder
     warnings.warn(
         f"the compiled prediction cannot be kept: none of {', '.join(map(str, bases))} can be "
-        "written, so every process compiles it anew; NUMBA_CACHE_DIR names another folder",
+        "written by this user alone, so every process compiles it anew; NUMBA_CACHE_DIR names "
+        "another folder",
         RuntimeWarning,
         stacklevel=2,
     )

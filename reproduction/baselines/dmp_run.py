@@ -23,12 +23,8 @@ from torch_pmil.checks import check_whole
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.files import write_json
-from torch_pmil.runs.run_folder import (
-    clear_folder,
-    prepare_folder,
-    provenance,
-    write_metrics,
-)
+from torch_pmil.runs.own_files import own
+from torch_pmil.runs.run_folder import clear_folder, provenance, write_metrics
 from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.tasks.double_pendulum import states_from_positions
 from torch_pmil.tasks.method import RandomMotion
@@ -109,15 +105,15 @@ def run_dmp(
     fresh = experiment.make_env(
         control_period=feedback_period, num_envs=MEASURED_STARTS, seed=seed + Stream.MEASURED_STARTS
     )
+    out.mkdir(parents=True, exist_ok=True)
     clear_folder(out, overwrite=True)  # it takes less than a minute
-    prepare_folder(out)
     rows: list[DMPTrial] = []
-    write_metrics(out / "metrics.csv", DMPTrial, rows)
+    write_metrics(own(out, "metrics.csv"), DMPTrial, rows)
     learner = make_learner(experiment, hold)
     learner.add(random_rollout(experiment, env, hold, seed))
     for _ in range(trials):
         rows.append(run_trial(experiment, learner, env, fresh, len(rows) + 1))
-        write_metrics(out / "metrics.csv", DMPTrial, rows)
+        write_metrics(own(out, "metrics.csv"), DMPTrial, rows)
         on_trial(rows[-1])
     learner.fit()
     errors = experiment.error(rollout_of(learner.execute(fresh).states))
@@ -134,7 +130,7 @@ def run_dmp(
         "saved_n_eval": len(errors),
         "trials": [asdict(trial) for trial in rows],
     }
-    write_json(out / "summary.json", summary)
+    write_json(own(out, "summary.json"), summary)
     return summary
 
 

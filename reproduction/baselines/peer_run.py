@@ -20,12 +20,8 @@ from torch_pmil.control.exploration import Motion
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.rollouts import as_executed
 from torch_pmil.files import write_json
-from torch_pmil.runs.run_folder import (
-    clear_folder,
-    prepare_folder,
-    provenance,
-    write_metrics,
-)
+from torch_pmil.runs.own_files import own
+from torch_pmil.runs.run_folder import clear_folder, provenance, write_metrics
 from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.ending import LIMIT
@@ -95,14 +91,14 @@ def _learn(
     confirmations: int | None,
 ) -> None:
     begun, source = (time.perf_counter(), time.process_time()), provenance(command)
+    out.mkdir(parents=True, exist_ok=True)
     clear_folder(out, overwrite=True)
-    prepare_folder(out)
     practice = Practice(experiment, peer_class(experiment, seed, **settings), seed, factor)
     rows: list[Measurement] = []
-    write_metrics(out / "metrics.csv", Measurement, rows)
+    write_metrics(own(out, "metrics.csv"), Measurement, rows)
     while len(rows) < trials and not _confirmed(rows, confirmations):
         rows.append(practice.trial(len(rows) + 1))
-        write_metrics(out / "metrics.csv", Measurement, rows)
+        write_metrics(own(out, "metrics.csv"), Measurement, rows)
     confirmed = _confirmed(rows, confirmations)
     if not confirmed:
         practice.peer.fit()
@@ -125,7 +121,7 @@ def _learn(
         "saved_n_eval": MEASURED_STARTS,
         "trials": [_plain(row) for row in rows],
     }
-    write_json(out / "summary.json", summary)
+    write_json(own(out, "summary.json"), summary)
 
 
 def _confirmed(rows: Sequence[Measurement], confirmations: int | None) -> bool:

@@ -19,6 +19,7 @@ from reproduction.baselines.dmp_run import DMPTrial, run_dmp
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.files import in_words
 from torch_pmil.plotting import plot_learning_curve, save_figure
+from torch_pmil.runs.own_files import own
 from torch_pmil.runs.report import write_report
 from torch_pmil.tasks.registry import load_experiment
 
@@ -75,7 +76,8 @@ def draw(trials: list[dict], out: Path) -> None:
     rates = [trial["success_rate"] for trial in trials]
     errors = [trial["tracking_error"] for trial in trials]
     figure = plot_learning_curve(experience, rates, errors, "tracking error (rad)")
-    save_figure(figure, out / "figures" / "learning_curve.png")
+    (out / "figures").mkdir(exist_ok=True)
+    save_figure(figure, own(out, "figures/learning_curve.png"))
     write_report(out)
 
 

@@ -94,6 +94,18 @@ def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again
         assert summary_in(tmp_path / "runs")["headline"]["seeds"] == 1
 
 
+@pytest.mark.parametrize("name", ["summary.json", "success_over_experience.png"])
+def test_results_do_not_replace_a_file_of_another(
+    name: str, summarize: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
+    (tmp_path / "runs" / name).write_text("mine")
+    with pytest.raises(SystemExit, match=f"{name} is not of pmil summarize: move it, or choose"):
+        summarize(run)
+    assert (tmp_path / "runs" / name).read_text() == "mine"
+    assert {*os.listdir(tmp_path / "runs")} == {run.name, name}
+
+
 def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
     summarize: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,13 +26,10 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError, predict_trajectory
 from torch_pmil.runs import training
 from torch_pmil.runs.lock import RunGoingOnError
+from torch_pmil.runs.own_files import files_of, own
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.run_folder import (
-    FILES,
-    FinishedRunError,
-    clear_folder,
     open_logger,
-    prepare_folder,
     remove_debris,
     rewind_logs,
     save_tensors,
@@ -90,7 +87,10 @@ def test_run_leaves_these_files_with_a_row_for_each_trial_and_no_temporary_ones(
     result: RunResult, folder: Path
 ) -> None:
     files = {"dynamics.pt", "metrics.csv", "policy.pt", "run.json", "settings.yaml", "summary.json"}
-    assert {*os.listdir(folder)} == files | {"checkpoints", "figures"}
+    assert {*os.listdir(folder)} == files | {"checkpoints", "figures", "run_files.json"}
+    listed = {name for name in files_of(folder) if name.startswith("checkpoints/")}
+    assert files_of(folder) - listed == files
+    assert {f"checkpoints/{name}" for name in os.listdir(folder / "checkpoints")} <= listed
     assert os.listdir(folder / "figures") == []
     rows = read_metrics(folder)
     assert list(rows[0]) == [field.name for field in fields(Trial)]
@@ -198,37 +198,24 @@ def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_tha
     assert load_network(tmp_path / "run")
 
 
-def test_folder_is_made_used_again_and_cleared_of_the_run_before_if_that_may_be_replaced(
-    tmp_path: Path,
-) -> None:
-    out = tmp_path / "runs" / "here"
-    prepare_folder(out)
-    (out / "metrics.csv").write_text("of an older run")
-    prepare_folder(out)
-    assert read_metrics(out) == [] and sorted(os.listdir(out)) == ["figures", "metrics.csv"]
-    (out / "notes.txt").touch()  # is no run's
-    for name in ("figures/old.png", *FILES):
-        (out / name).touch()
-    with pytest.raises(FinishedRunError):
-        clear_folder(out)
-    assert {*os.listdir(out)} == {"notes.txt", "figures", *FILES}
-    clear_folder(out, overwrite=True)
-    assert os.listdir(out) == ["notes.txt"]
-
-
 def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> None:
     checkpoints, hexadecimal = tmp_path / "checkpoints", 32 * "a"
     (checkpoints / f".checkpoint-1.torchrl.stage-{hexadecimal}").mkdir(parents=True)
-    (tmp_path / "logs" / "name" / "scalars").mkdir(parents=True)
-    prepare_folder(tmp_path)
-    kept = ("video.mp4", ".hidden.3.txt", ".lock", "figures/a.png", "checkpoints/.mine.stage-1")
+    (tmp_path / "logs" / "a_seed_0" / "scalars").mkdir(parents=True)
+    (tmp_path / "figures").mkdir()
+    listed = ("video.mp4", "summary.json", "figures/poses.png", "logs/a_seed_0/scalars/loss.csv")
+    for name in listed:
+        own(tmp_path, name)
+    kept = ("video.mp4", ".hidden.3.txt", ".policy.7.pt", "figures/.a.3.png", "figures/a.png")
+    kept += ("run_files.json", "checkpoints/.mine.stage-1", f".x.torchrl.stage-{hexadecimal}")
     debris = (
-        *(".video.4711.mp4", ".summary.1.json", "figures/.poses.12.png", ".writable"),
-        "logs/name/scalars/.loss.4711.csv",
+        *(".video.4711.mp4", ".summary.1.json", "figures/.poses.12.png", ".run_files.9.json"),
+        "logs/a_seed_0/scalars/.loss.4711.csv",
         f"checkpoints/.checkpoint-2.torchrl.archive-{hexadecimal}",
     )
     for name in (*kept, *debris):
         (tmp_path / name).touch()
+    own(tmp_path, listed[0])  # the list is whole again
     set_aside = checkpoints / f".checkpoint-0.torchrl.backup-{hexadecimal}"
     set_aside.write_text("the only one")
     remove_debris(tmp_path)
@@ -239,12 +226,16 @@ def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> N
 
 def test_rows_of_a_csv_logger_are_taken_back_to_a_step_and_a_cut_one_too(tmp_path: Path) -> None:
     logger, scalars = open_logger("csv", tmp_path, "name", 0), tmp_path / "logs/name_seed_0/scalars"
+    for name in ("loss", "late"):
+        own(tmp_path, f"logs/name_seed_0/scalars/{name}.csv")
     (scalars / "loss.csv").write_text("2,0.5\n4,nan\n10,0.1\n1")
-    (scalars / "late.csv").write_text("10,0.1\n")
+    for name in ("late", "mine"):  # the run has not listed the second
+        (scalars / f"{name}.csv").write_text("10,0.1\n")
     rewind_logs(logger, step=4)
     logger.log_scalar("loss", 0.25, step=10)
     assert {path.name: path.read_text() for path in scalars.iterdir()} == {
-        "loss.csv": "2,0.5\n4,nan\n10,0.25\n"
+        "loss.csv": "2,0.5\n4,nan\n10,0.25\n",
+        "mine.csv": "10,0.1\n",
     }
     (scalars / "loss.csv").write_bytes(b"\xff")
     with pytest.raises(RunError, match=r"loss\.csv: must be UTF-8, got"):
@@ -256,20 +247,21 @@ def test_run_begins_by_removing_debris_and_is_alone_in_its_folder_from_its_start
     phase: str, experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def another(*args: object) -> None:
-        assert (tmp_path / ".lock").read_text() == str(os.getpid())
+        assert (tmp_path / ".pmil.lock").read_text() == str(os.getpid())
         if phase == "make_trainer":
-            assert {*os.listdir(tmp_path)} == {".lock", "figures", "run.json", "settings.yaml"}
+            made = {".pmil.lock", "figures", "run.json", "settings.yaml", "run_files.json"}
+            assert {*os.listdir(tmp_path)} == made
         with ThreadPoolExecutor() as pool:
             second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
         with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
             second.result()
         raise KeyboardInterrupt
 
-    (tmp_path / ".video.4711.mp4").touch()
+    own(tmp_path, "video.mp4").with_name(".video.4711.mp4").touch()
     monkeypatch.setattr(training, phase, another)
     with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
-    assert not (tmp_path / ".lock").exists()
+    assert not (tmp_path / ".pmil.lock").exists()
 
 
 def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, draws: Draws) -> None:

@@ -243,7 +243,7 @@ def test_replaced_run_that_is_stopped_leaves_nothing_of_the_old_one(
 ) -> None:
     folder = shutil.copytree(whole, tmp_path / "run")
     stopped_run(folder, "search", 1, overwrite=True)
-    left = {"run.json", "settings.yaml", "metrics.csv", "checkpoints", "figures"}
+    left = {"run.json", "settings.yaml", "metrics.csv", "checkpoints", "figures", "run_files.json"}
     assert {path.name for path in folder.iterdir()} == left
 
 

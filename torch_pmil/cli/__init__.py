@@ -91,6 +91,12 @@ def check_out(out: Path) -> None:
         sys.exit(f"error: {out}: there is no folder {out.parent}")
 
 
+def check_new(path: Path) -> None:
+    """End the command if there is a file of this name: no command replaces what it did not make."""
+    if os.path.lexists(path):
+        sys.exit(f"error: {path} is there already: choose another name")
+
+
 def print_written(out: Path, demonstrations: Demonstrations) -> None:
     """Print what a file of demonstrations holds."""
     (count, samples, _), duration = demonstrations.positions.shape, demonstrations.duration

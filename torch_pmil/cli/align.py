@@ -16,6 +16,7 @@ recorded time step, aligned by dynamic time warping, and sampled at the robot's 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -165,7 +166,9 @@ def main() -> None:
     if options.derive and options.smooth is None:
         sys.exit("error: --derive needs --smooth PERIOD")
     for path in filter(None, (out, picture)):
-        if path.exists() and not options.overwrite:
+        if path.exists() and options.recorded.exists() and path.samefile(options.recorded):
+            sys.exit(f"error: {path} is the recording itself: choose another name")
+        if os.path.lexists(path) and not options.overwrite:
             sys.exit(f"error: {path} is there already: --overwrite replaces it")
         if not path.parent.is_dir():
             sys.exit(f"error: {path}: there is no folder {path.parent}")

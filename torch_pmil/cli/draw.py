@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from string import Template
 
-from torch_pmil.cli import check_out, errors_in_one_line, parser_of, print_written
+from torch_pmil.cli import check_new, check_out, errors_in_one_line, parser_of, print_written
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation import drawing
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
@@ -161,8 +161,7 @@ def main() -> None:
             drawing.check_time_step(time_step)
             check_out(out)
             for file in (out, recorded):
-                if file.exists():
-                    raise drawing.DrawingError(f"{file} is there already; choose another name")
+                check_new(file)
             with DrawingServer(out, time_step) as server:
                 print(f"draw at {server.address} (Ctrl-C ends without saving)", flush=True)
                 server.serve_forever()

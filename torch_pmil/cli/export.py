@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from torch_pmil.cli import errors_in_one_line, parser_of
+from torch_pmil.cli import check_new, errors_in_one_line, parser_of
 from torch_pmil.control.policy_file import load_policy
 
 
@@ -21,6 +21,7 @@ def main() -> None:
         "--batch", action="store_true", help="take states (N, D), not one state (D,)"
     )
     arguments = parser.parse_args()
+    check_new(arguments.out)
     with errors_in_one_line(OSError, ValueError):
         policy = load_policy(arguments.policy)
         policy.export(arguments.out, batch=arguments.batch)

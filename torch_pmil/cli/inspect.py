@@ -11,7 +11,7 @@ from pathlib import Path
 
 from torch_pmil import plotting
 from torch_pmil.checks import check_positive
-from torch_pmil.cli import add_reading, errors_in_one_line, parser_of
+from torch_pmil.cli import add_reading, check_new, errors_in_one_line, parser_of
 from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
 
@@ -28,6 +28,8 @@ def main() -> None:
     parser.add_argument("--draw", type=Path, metavar="OUT.png", help=drawn)
     arguments = parser.parse_args()
     file, keys, names = arguments.file, arguments.keys, arguments.names
+    if arguments.draw:
+        check_new(arguments.draw)
     with errors_in_one_line(ValueError, ImportError, OSError):
         check_positive("--control-period", arguments.control_period)
         read = load_recordings(file, keys=keys, names=names, time_step=arguments.time_step)

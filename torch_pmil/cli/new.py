@@ -7,6 +7,7 @@ Example:
 
 from __future__ import annotations
 
+import os
 import shlex
 from importlib import resources
 from pathlib import Path
@@ -48,7 +49,7 @@ def write_template(folder: Path) -> None:
         for source in sorted(TEMPLATE.iterdir(), key=lambda file: file.name)
     }
     for path in files:
-        if path.exists():
+        if os.path.lexists(path):
             raise FileExistsError(f"{path} is there already: pmil new replaces nothing")
     folder.mkdir(parents=True, exist_ok=True)
     for path, content in files.items():

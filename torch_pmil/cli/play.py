@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 from torch_pmil.checks import check_whole
-from torch_pmil.cli import errors_in_one_line, parser_of
+from torch_pmil.cli import check_new, errors_in_one_line, parser_of
 from torch_pmil.plotting.video import check_film_name
 from torch_pmil.runs.playing import SHIPPED, load_player
 from torch_pmil.runs.viewer import has_screen
@@ -45,6 +45,7 @@ def main() -> None:
                 print(f"{name}: close the window, or press Ctrl-C, to end", flush=True)
                 player.show(arguments.seed)
                 return
+            check_new(out)
             succeeded = player.film(out, starts, arguments.seed)
     except KeyboardInterrupt:
         sys.exit(130)

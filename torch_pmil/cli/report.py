@@ -21,7 +21,7 @@ def main() -> None:
     with errors_in_one_line(RunError, OSError):
         page = write_report(folder)
     there = {
-        "figures (there are none)": any((folder / "figures").glob("*.png")),
+        "figures (there are none)": any((folder / "figures").glob("[!.]*.png")),
         "video (there is no video.mp4)": (folder / "video.mp4").exists(),
     }
     missing = " and ".join(words for words, found in there.items() if not found)

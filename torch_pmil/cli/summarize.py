@@ -10,11 +10,12 @@ import os
 import shlex
 import statistics
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 from torch_pmil.cli import errors_in_one_line, parser_of
-from torch_pmil.files import write_json
+from torch_pmil.files import MIB, read_json, write_json
 from torch_pmil.plotting import plot_success_over_experience, save_figure
 from torch_pmil.runs import summaries
 from torch_pmil.runs.run_folder import provenance
@@ -23,6 +24,7 @@ from torch_pmil.runs.summaries import COVERAGE, RunError
 SUCCESS_RATE = 0.95  # paper
 EXPERIENCE_S = 33.0  # paper
 INTERVAL = "95 %, Wilson, over runs; runs that ended are carried forward with their saved policy"
+MERGED_BYTES = 1024 * MIB  # of an earlier summary of many runs
 IN_JSON = ("experience_s", "mean", "lower", "upper")  # the rates of each run are in its trials
 HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended because"
 
@@ -68,8 +70,9 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
         raise RunError(f"runs must be of one experiment, got {', '.join(names)}")
     curve = summaries.success_over_experience(runs)
     out = out or Path(os.path.commonpath([path.parent for path in paths]))
-    if out in paths:
+    if out.resolve() in [path.resolve() for path in paths]:
         raise RunError(f"{out} is a run: the results would replace its summary.json")
+    _check_ours(out)
     merged = {
         "experiment": names[0],
         **provenance(command),
@@ -84,6 +87,16 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     save_figure(figure, out / "success_over_experience.png")
     print("\n".join(f"{name}: {value:g}" for name, value in merged["headline"].items()))
     print(f"see {out}/summary.json, {out}/success_over_experience.png")
+
+
+def _check_ours(out: Path) -> None:
+    """Raise RunError if files are there of the names of the results that are not such results."""
+    names, earlier = ("summary.json", "success_over_experience.png"), None
+    with suppress(OSError, ValueError):
+        earlier = read_json(out / names[0], most=MERGED_BYTES)
+    there = [out / name for name in names if os.path.lexists(out / name)]
+    if there and not (isinstance(earlier, dict) and "success_over_experience" in earlier):
+        raise RunError(f"{there[0]} is not of pmil summarize: move it, or choose another --out")
 
 
 def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:

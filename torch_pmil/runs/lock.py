@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from collections.abc import Iterator
@@ -24,9 +25,9 @@ class RunGoingOnError(ValueError):
 def alone_in(folder: Path | str) -> Iterator[None]:
     """Keep other runs out of a folder, which is made if it is missing.
 
-    The file ``.lock`` in it is locked meanwhile. The lock ends with the process in any case, so a
-    file that is left behind locks nothing. The thread that holds the lock may enter again. A file
-    system without locks allows several runs.
+    The file ``.pmil.lock`` in it is locked meanwhile. The lock ends with the process in any case,
+    so a file that is left behind locks nothing. The thread that holds the lock may enter again. A
+    file system without locks allows several runs.
 
     Raises:
         RunGoingOnError: another run is there.
@@ -37,13 +38,13 @@ def alone_in(folder: Path | str) -> Iterator[None]:
         >>> folder = tempfile.mkdtemp()
         >>> with alone_in(folder):
         ...     os.listdir(folder)
-        ['.lock']
+        ['.pmil.lock']
         >>> os.listdir(folder)
         []
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    place, path = folder.resolve(), folder / ".lock"
+    place, path = folder.resolve(), folder / ".pmil.lock"
     if _held.get(place) == threading.get_ident():
         yield
         return
@@ -65,6 +66,8 @@ def _locked(path: Path) -> int:
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         try:
             _lock(file, path)
+            if not os.pread(file, 21, 0).isdigit() and os.fstat(file).st_size:
+                raise FileExistsError(errno.EEXIST, "is not the lock of a run", str(path))
             if _is_that(path, file):  # its owner may just have removed it
                 os.ftruncate(file, 0)
                 os.write(file, str(os.getpid()).encode())

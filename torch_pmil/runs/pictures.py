@@ -16,6 +16,7 @@ from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of
 from torch_pmil.plotting.video import dense_states, render_rollout, write_gif, write_video
 from torch_pmil.runs.figures import figures_of
+from torch_pmil.runs.own_files import own
 from torch_pmil.runs.printing import Step, print_left, print_result, tell
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.training import RunResult
@@ -41,19 +42,19 @@ def tell_all(label: str, task: Task, result: RunResult, out: Path) -> list[str]:
 
 def steps_of(task: Task, result: RunResult, out: Path) -> Iterator[Step]:
     """Steps that draw figures, film a robot that is measured from fresh starts, and report."""
-    yield "figures", partial(draw_figures, task, result, out / "figures")
+    yield "figures", partial(draw_figures, task, result, out)
     if task.draws and task.evaluated:
-        yield "video", partial(film, task, result, out / "video.mp4")
+        yield "video", lambda: film(task, result, own(out, "video.mp4"))
     if (out / "video.mp4").exists():
-        yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")
+        yield "GIF", lambda: write_gif(own(out, "video.gif"), out / "video.mp4")
     yield "report", partial(write_report, out)
 
 
-def draw_figures(task: Task, result: RunResult, folder: Path) -> None:
-    """Draw all figures of a run into a folder."""
-    folder.mkdir(exist_ok=True)
+def draw_figures(task: Task, result: RunResult, out: Path) -> None:
+    """Draw all figures of a run into its folder."""
+    (out / "figures").mkdir(exist_ok=True)
     for name, figure in figures_of(task, result):
-        plotting.save_figure(figure, folder / f"{name}.png")
+        plotting.save_figure(figure, own(out, f"figures/{name}.png"))
 
 
 @torch.no_grad()

@@ -29,6 +29,7 @@ from torch_pmil.files import (
     replacing,
     write_json,
 )
+from torch_pmil.runs.own_files import LIST, check_free, files_of, own, remove_files
 from torch_pmil.runs.summaries import RunError, is_finished, words_of
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trials import Measurement
@@ -37,13 +38,8 @@ LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
 LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
 
 MOST_TRIALS = 1000  # memory for all their rollouts is taken at once
-# what a run leaves besides checkpoints, logs and figures; what says that it has ended comes last
-FILES = (
-    *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
-    *("settings.yaml", "run.json", "summary.json"),
-)
 LOGGED = re.compile(r"(\d{1,18}),.*\n")  # a whole row of a CSV logger: step, value
-STAGED = re.compile(r"\.(.+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
+STAGED = re.compile(r"\.(checkpoint-\d+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
 
 
 class FinishedRunError(ValueError):
@@ -54,24 +50,16 @@ class UnfinishedRunError(ValueError):
     """A folder holds a run that was stopped, which a new one would overwrite."""
 
 
-def prepare_folder(out: Path) -> None:
-    """Make the folder of a run, with ``figures/``; raise OSError if it cannot be written to."""
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    with replacing(out / ".writable") as probe:
-        probe.write_text("")
-    (out / ".writable").unlink()
-
-
 def write_origin(out: Path, source: dict[str, object]) -> None:
     """Write ``run.json``: command, date, commit and versions, from the run's first second on."""
-    write_json(out / "run.json", source)
+    write_json(own(out, "run.json"), source)
 
 
 def write_settings(out: Path, settings: Mapping[str, object]) -> None:
     """Write ``settings.yaml``, with which ``pmil train settings=FILE`` makes the run again."""
     given = settings.items()
     lines = (f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in given)
-    with replacing(out / "settings.yaml") as temporary:
+    with replacing(own(out, "settings.yaml")) as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
 
 
@@ -84,38 +72,33 @@ def read_command(folder: Path) -> list[str]:
 
 
 def clear_folder(out: Path, overwrite: bool = False) -> None:
-    """Remove the finished run in a folder, if ``overwrite`` is true.
+    """Remove the files of the finished run in a folder, if ``overwrite`` is true.
 
     Raises:
         UnfinishedRunError: there is a run that has not ended.
         FinishedRunError: there is one that has ended, and ``overwrite`` is false.
+        ForeignFileError, RunError: see :func:`~torch_pmil.runs.own_files.check_free`.
     """
+    check_free(out)
     saved, ended = saved_checkpoints(rotation_in(out / "checkpoints")), is_finished(out)
     if saved and not ended:
         raise UnfinishedRunError(
-            f"{out} holds a run that was stopped: go on with resume=true, or remove "
-            f"{out / 'checkpoints'}"
+            f"{out} holds a run that was stopped: go on with resume=true, choose another out, or "
+            f"remove {out / 'checkpoints' / 'checkpoint-*.torchrl'}"
         )
     if ended and not overwrite:
         raise FinishedRunError(f"{out} holds a run that has ended: overwrite=true replaces it")
-    for leftover in (out / "checkpoints", out / "logs", out / "figures"):
-        if leftover.exists():
-            shutil.rmtree(leftover)
-    for name in FILES:
-        (out / name).unlink(missing_ok=True)
+    remove_files(out)
 
 
 def remove_debris(out: Path) -> None:
     """Remove what a run that was killed left of files that were not whole.
 
-    A checkpoint that was set aside for a newer one, which never came, takes its place again. The
-    caller must be alone in the folder.
+    These are beside files that the run has listed. A checkpoint that was set aside for a newer one,
+    which never came, takes its place again. The caller must be alone in the folder.
     """
-    for name in (*FILES, ".writable", "figures/*.png"):
+    for name in (LIST, *files_of(out)):
         remove_temporaries(out / name)
-    for folder in (out / "logs").glob("*/scalars"):
-        remove_temporaries(folder / "*.csv")
-    (out / ".writable").unlink(missing_ok=True)
     for path in sorted((out / "checkpoints").glob(".*")):
         staged = STAGED.fullmatch(path.name)
         if staged is None:
@@ -144,6 +127,26 @@ def check_resume(resume: bool, overwrite: bool) -> None:
         )
 
 
+class ListedCSVLogger(CSVLogger):
+    """TorchRL's logger of CSV files, which lists each file of a run before it makes it."""
+
+    def __init__(self, out: Path, name: str) -> None:
+        super().__init__(name, str((out / "logs").absolute()))
+        self._out, self._scalars = out, f"logs/{name}/scalars"
+
+    @property
+    def listed(self) -> list[Path]:
+        """The files that are there."""
+        own_ones = (self._out / name for name in files_of(self._out))
+        folder = self._out / self._scalars
+        return [path for path in own_ones if path.is_relative_to(folder) and path.exists()]
+
+    def log_scalar(self, name: str, value: float, step: int | None = None) -> None:
+        """Append a number to the file of its name."""
+        own(self._out, f"{self._scalars}/{name}.csv")
+        super().log_scalar(name, value, step)
+
+
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
     """TorchRL's logger of that kind for a run; raises ImportError where its library is missing.
 
@@ -156,6 +159,8 @@ def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
         if kind == "mlflow":
             server = os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}")
             return MLFlowLogger(name, tracking_uri=server)
+        if kind == "csv":
+            return ListedCSVLogger(out, name)
         return get_logger(kind, str(folder), name)
     except ImportError as error:
         raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
@@ -166,12 +171,12 @@ def rewind_logs(logger: Logger | None, step: int) -> None:
 
     Raises RunError if a file was not written by a logger.
     """
-    if not isinstance(logger, CSVLogger):
+    if not isinstance(logger, ListedCSVLogger):
         return
     for file in logger.experiment.files.values():
         file.close()
     logger.experiment.files.clear()  # which are opened again
-    for path in Path(logger.experiment.log_dir, "scalars").glob("*.csv"):
+    for path in logger.listed:
         try:
             rows = map(LOGGED.fullmatch, read_text(path).splitlines(keepends=True))
         except FileError as error:

@@ -20,6 +20,7 @@ from torch_pmil.model.compiled import available, kernels
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import torchrl_warnings_alone
 from torch_pmil.runs.lock import alone_in
+from torch_pmil.runs.own_files import check_free, own
 from torch_pmil.runs.results import results_of
 from torch_pmil.runs.run_folder import (
     MOST_TRIALS,
@@ -27,7 +28,6 @@ from torch_pmil.runs.run_folder import (
     check_resume,
     clear_folder,
     open_logger,
-    prepare_folder,
     provenance,
     remove_debris,
     rewind_logs,
@@ -128,22 +128,24 @@ def train(
     check_logger(logger)
     identity = _identity(task, seed)
     rotation = rotation_in(out / "checkpoints", identity)
+    rotation.announce = lambda name: own(out, f"checkpoints/{name}")
 
     def record(trial: Trial) -> None:
-        write_metrics(out / "metrics.csv", Trial, trainer.trials)
+        write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
         on_trial(trial)
 
     with alone_in(out), torchrl_warnings_alone():
+        check_free(out)
         remove_debris(out)
         saved = _same_run(rotation, identity) if resume else None
         if not resume:
             clear_folder(out, overwrite)
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
-        prepare_folder(out)
         source = provenance(command)
         named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
         write_settings(out, named | task.adjustable)
         write_origin(out, source)
+        (out / "figures").mkdir(exist_ok=True)
         opened = None if logger is None else open_logger(logger, out, task.name, seed)
         if available():
             kernels()  # compiled before the progress bar stands
@@ -153,7 +155,7 @@ def train(
             if saved is not None:
                 trainer.resume(saved)
             rewind_logs(opened, trainer.collected_frames)
-            write_metrics(out / "metrics.csv", Trial, trainer.trials)
+            write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
             ended = _ended(trainer)
             if not ended:
                 saved = discard_newest(rotation)
@@ -180,8 +182,8 @@ def _finish(
     best = trainer.best_policy()
     network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
     meaning = task.space, trainer.control_period, task.demonstrations.target_names, task.actions
-    save_policy(out / "policy.pt", network, *meaning)
-    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    save_policy(own(out, "policy.pt"), network, *meaning)
+    save_tensors(own(out, "dynamics.pt"), dynamics.state_dict())
     policy = StatePolicy(network, *meaning)
     results, outcomes = results_of(trainer, best, task)
     summary = {
@@ -191,7 +193,7 @@ def _finish(
         "wall_seconds": round(trainer.seconds, 2),
         **results,
     }
-    write_json(out / "summary.json", summary)
+    write_json(own(out, "summary.json"), summary)
     return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
 
 

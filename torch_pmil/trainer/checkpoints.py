@@ -6,7 +6,7 @@ An archive is checked before it is loaded, and none of it is executed.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,13 +55,16 @@ class GeneratorState:
 class RunRotation(CheckpointRotation):
     """TorchRL's rotation, which opens no file but a checkpoint: others stay and do not count.
 
-    ``metadata`` stands in the manifest of every checkpoint.
+    ``metadata`` stands in the manifest of every checkpoint; ``announce`` is called with the name of
+    each before it is written.
     """
 
     metadata: Mapping[str, object] | None = None
+    announce: Callable[[str], object] = staticmethod(lambda name: None)
 
     def save(self, checkpoint: Checkpoint, *, step: int, **options: Any) -> Path:
         """Save a checkpoint with the metadata of the run."""
+        self.announce(self._checkpoint_path(step, checkpoint.format).name)
         return super().save(checkpoint, step=step, metadata=self.metadata, **options)
 
     def prune(self) -> tuple[Path, ...]:
@@ -91,8 +94,9 @@ def rotation_in(folder: Path | str, metadata: Mapping[str, object] | None = None
 
 
 def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
-    """All archives of a rotation, the newest first, damaged ones too."""
-    return sorted(rotation.directory.glob(f"{rotation.prefix}-*.torchrl"), reverse=True)
+    """All archives of a rotation, the newest first, damaged ones too; copies by other names not."""
+    numbered = f"{rotation.prefix}-{12 * '[0-9]'}.torchrl"
+    return sorted(rotation.directory.glob(numbered), reverse=True)
 
 
 def read_checkpoint(path: Path) -> SavedRun:

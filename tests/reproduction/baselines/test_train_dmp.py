@@ -11,6 +11,7 @@ import pytest
 
 from tests.helpers.run_script import run_script
 from tests.helpers.short_run import quick_fits, replace_task, short_experiment
+from torch_pmil.runs.own_files import files_of
 
 PERIOD = "feedback_period"
 SCRIPT = "reproduction/baselines/train_dmp.py"
@@ -33,7 +34,8 @@ def test_run_leaves_its_numbers_and_says_them(
     script(*words)
     out = tmp_path / "run"
     files = {str(path.relative_to(out)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert files == {"metrics.csv", "summary.json", "figures/learning_curve.png", "report.html"}
+    written = {"metrics.csv", "summary.json", "figures/learning_curve.png", "report.html"}
+    assert files == written | {"run_files.json"} and files_of(out) == written
     summary = json.loads((out / "summary.json").read_text())
     assert summary["command"].split()[-5:] == ["reproduction.baselines.train_dmp", *words]
     assert summary["command"].startswith("python -m ")

@@ -99,7 +99,7 @@ def test_a_run_begins_when_nobody_else_is_in_its_folder(tmp_path: Path) -> None:
     waiting.folder.mkdir()
 
     def held(seconds: float) -> subprocess.Popen:
-        words = [sys.executable, "-c", hold, str(waiting.folder / ".lock"), str(seconds)]
+        words = [sys.executable, "-c", hold, str(waiting.folder / ".pmil.lock"), str(seconds)]
         holder = subprocess.Popen(words, stdout=subprocess.PIPE)
         assert holder.stdout is not None and holder.stdout.readline()
         return holder

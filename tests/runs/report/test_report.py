@@ -205,7 +205,7 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     with pytest.raises(RunError, match=r"holds no finished run: there is no file"):
         write_report(folder)
     assert (folder / "report.html").read_text() == page
-    assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}
+    assert {path.name for path in folder.iterdir()} == {"figures", "report.html", "run_files.json"}
 
 
 def test_page_that_is_not_written_to_its_end_leaves_the_old_one(
@@ -222,4 +222,6 @@ def test_page_that_is_not_written_to_its_end_leaves_the_old_one(
         patch.setattr(Path, "write_text", full)
         write_report(folder)
     assert (folder / "report.html").read_text() == page
-    assert {path.name for path in folder.iterdir()} == {"figures", "summary.json", "report.html"}
+    assert {path.name for path in folder.iterdir()} == {
+        *("figures", "summary.json", "report.html", "run_files.json")
+    }

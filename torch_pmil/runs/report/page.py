@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import torch_pmil
 from torch_pmil.files import MIB, FileError, read_bytes, replacing
+from torch_pmil.runs.own_files import own
 from torch_pmil.runs.printing import making_the_rest
 from torch_pmil.runs.report.captions import Caption, caption_of, place_of
 from torch_pmil.runs.report.tables import tables
@@ -55,6 +56,7 @@ def write_report(folder: Path | str, drawn: bool = True) -> Path:
 
     Raises:
         RunError: there is no summary, or it or a figure is damaged.
+        ForeignFileError: there is a ``report.html`` that no run wrote.
         OSError: the page cannot be written.
 
     Example:
@@ -63,7 +65,6 @@ def write_report(folder: Path | str, drawn: bool = True) -> Path:
     """
     folder = Path(folder)
     summary = read_summary(folder)
-    page = folder / "report.html"
     try:
         text = _page(folder, summary, drawn)
     except (RunError, OSError):
@@ -71,6 +72,7 @@ def write_report(folder: Path | str, drawn: bool = True) -> Path:
     except Exception as error:  # entries of other types fail where they are written, with any type
         reason = f"{type(error).__name__}: {error}"
         raise RunError(f"{folder}: summary.json is damaged: {reason}") from error
+    page = own(folder, "report.html")
     with replacing(page) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return page
@@ -115,7 +117,7 @@ def _page(folder: Path, summary: dict, drawn: bool) -> str:
 def _pictures(folder: Path, summary: dict) -> list[Picture]:
     """All figures, in the order of the page."""
     targets = list(summary.get("saved_success_rate_by_target", {}))
-    paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
+    paths = sorted((folder / "figures").glob("[!.]*.png"), key=lambda path: place_of(path.stem))
     alone = judged_alone(summary)
     return [
         Picture(caption_of(path.stem, targets, alone), *_pixels_and_text(path)) for path in paths

@@ -111,3 +111,50 @@ def test_pixels_with_jumps_become_metres_and_velocities(script: Script, tracked:
     error = (demonstrations.positions - expected)[:, 1:-1].abs().amax((0, 1))
     assert (error[:2] < 0.015).all() and (error[2:] < 0.12).all()
     assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.fixture
+def turning(tmp_path: Path) -> Path:
+    """Three turns of 4 rad from 2 rad at 100 Hz, wrapped, in rad and degrees; one with a hole."""
+    rows = ["demonstration,time,q,yaw"]
+    for label, steps in enumerate((180, 200, 220)):
+        s = np.linspace(0, 1, steps + 1)
+        q = 2 + 4 * (3 * s**2 - 2 * s**3)
+        wrapped = np.arctan2(np.sin(q), np.cos(q))
+        kept = [number for number in range(steps + 1) if label or not 60 < number < 120]
+        rows += [f"{label},{0.01 * k:.2f},{wrapped[k]},{np.degrees(wrapped[k])}" for k in kept]
+    path = tmp_path / "turning.csv"
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_declared_angles_go_on_and_what_is_doubtful_is_named(
+    script: Script, turning: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script(turning, out := turning.with_suffix(".npz"), "--angles", "q", "yaw")
+    q, yaw = load_demonstrations(out).positions.unbind(-1)
+    assert q[:, 0].allclose(torch.tensor(2.0).double()) and (q[:, -1] - 6).abs().max() < 0.01
+    torch.testing.assert_close(yaw, q.rad2deg(), rtol=0, atol=2.0)
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and "demonstration 0 has no samples from 0.6 to 1.2 s" in said[0]
+    script(turning, out, "--overwrite")
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 3 and all("jumps by a turn" in line for line in said[1:])
+    assert "(6.283)" in said[1] and "(360)" in said[2]
+
+
+def test_recordings_that_only_jitter_are_aligned_only_on_request(
+    script: Script, tmp_path: Path
+) -> None:
+    draws, rows = np.random.default_rng(0), ["demonstration,time,q"]
+    for label in range(3):
+        times = np.arange(201) / 100 + draws.uniform(-1e-3, 1e-3, 201)
+        rows += [f"{label},{1.7e9 + t:.7f},{(1 + 0.2 * label) * np.sin(2 * t)}" for t in times]
+    path = tmp_path / "hardware.csv"
+    path.write_text("\n".join(rows))
+    script(path, plain := tmp_path / "plain.npz")
+    script(path, warped := tmp_path / "warped.npz", "--window", "0.2")
+    motion = torch.sin(0.2 * torch.arange(21, dtype=torch.float64))
+    expected = torch.tensor([1.0, 1.2, 1.4])[:, None] * motion
+    assert (load_demonstrations(plain).positions[..., 0] - expected).abs().max() < 0.005
+    assert (load_demonstrations(warped).positions[..., 0] - expected).abs().max() > 0.01

@@ -116,6 +116,22 @@ def test_what_is_missing_for_training_is_listed(shown: Recordings, expected: lis
     assert advice(shown, "recorded.csv", 0.1) == [*expected, alone]
 
 
+def test_angles_that_wrap_and_holes_are_named_with_the_way_out() -> None:
+    def wraps(s: np.ndarray) -> np.ndarray:
+        return (2.5 + 2 * s + np.pi) % (2 * np.pi) - np.pi
+
+    times, values = at(1, 101, wraps)
+    kept = (times < 0.505) | (times > 0.8)
+    named = advice(recordings((times, values), (times[kept], values[kept])), "recorded.csv", 0.01)
+    assert [line.partition(":")[0] for line in named[2:4]] == [
+        "demonstration 1 has no samples from 0.5 to 0.81 s",
+        "x of demonstration 0 jumps by a turn (6.283) at 0.33 s",
+    ]
+    assert named[4].endswith("--time-step 0.01 --angles x")
+    kept = [times[::10], values[::10]]
+    assert advice(recordings(kept, kept), "recorded.csv", 0.1)[1].endswith("--angles x")
+
+
 def test_nothing_is_missing_from_what_training_takes(tmp_path: Path) -> None:
     shipped_demonstrations("biorob").save(tmp_path / "shown.npz")
     assert advice(load_recordings(tmp_path / "shown.npz"), "shown.npz", 0.1) == []

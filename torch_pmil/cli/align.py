@@ -8,9 +8,11 @@ The recording is a file or folder of NPZ, CSV, LASA, Minari, robomimic or LeRobo
 has the columns demonstration,time,NAME,... If there are several targets, "target NAME",... follow:
 the target of each demonstration. Demonstrations may differ in length, and samples may be uneven.
 
-If their options are given, these steps run in this order: pixels become metres, jumps are removed,
-the rest is smoothed, velocities are derived, rests are cut off. Then all are sampled at the median
-recorded time step, aligned by dynamic time warping, and sampled at the robot's time step.
+If their options are given, these steps run in this order: angles go on beyond a turn (rad, or
+degrees if they exceed 4 pi), pixels become metres, jumps are removed, the rest is smoothed,
+velocities are derived, rests are cut off. Then all are sampled as often as they were recorded,
+aligned by dynamic time warping, and sampled at the robot's time step. Recordings of one duration
+whose stamps jitter or are at the robot's time step are sampled alone, unless --window is given.
 """
 
 from __future__ import annotations
@@ -34,12 +36,14 @@ from torch_pmil.demonstrations import (
     Recordings,
     load_recordings,
 )
+from torch_pmil.demonstrations.clock import clock
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError, crop, resample
 from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
+from torch_pmil.demonstrations.turns import jumps_by_turns, turns_of, unwrapped
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
 
@@ -54,20 +58,23 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     names = [*known, *(velocity for velocity, _ in options.derive)]
     rates = [*options.velocities, *names[len(known) :]]
     given = [*options.velocities, *(position for _, position in options.derive)]
-    if unknown := sorted(set(given) - set(known)):
-        raise AlignmentError(
-            f"velocities must be columns of {', '.join(known)}, got {', '.join(unknown)}"
-        )
+    check_columns("velocities", given, known)
+    check_columns("angles", options.angles, known)
     if not recordings.in_seconds:
         check_times(recordings.times, options.time_step)
+    recordings = unwrapped(recordings, turns_of(recordings, options.angles), {})
     preprocessed = [
         preprocessed_one(*one, known, options)
         for one in zip(recordings.times, recordings.values, strict=True)
     ]
-    if options.crop:
-        preprocessed = [cropped(*one, range(len(known), len(names))) for one in preprocessed]
     times, values = zip(*preprocessed, strict=True)
     prepared = replace(recordings, times=times, values=values, names=tuple(names), places=())
+    for doubt in [*prepared.holes(), *jumps_by_turns(recordings)]:
+        print(f"warning: {doubt}", file=sys.stderr)
+    if options.crop:
+        preprocessed = [cropped(*one, range(len(known), len(names))) for one in preprocessed]
+        times, values = zip(*preprocessed, strict=True)
+        prepared = replace(prepared, times=times, values=values)
     reference, labels = options.reference, recordings.labels
     if reference is not None and reference not in labels:
         raise AlignmentError(
@@ -77,9 +84,17 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     return synchronise(prepared, options.time_step, rates, options.window, number)
 
 
+def check_columns(what: str, names: Sequence[str], known: tuple[str, ...]) -> None:
+    """Raise AlignmentError if a name is not that of a column."""
+    if unknown := sorted(set(names) - set(known)):
+        raise AlignmentError(
+            f"{what} must be columns of {', '.join(known)}, got {', '.join(unknown)}"
+        )
+
+
 def cropped(times: Tensor, values: Tensor, velocities: Sequence[int]) -> Timed:
     """The part of a recording that moves, at its median time step."""
-    step = times.diff().median().item()
+    step = clock(times).step
     kept = crop(resample(values, times, step), velocities=velocities)
     return step * torch.arange(len(kept), dtype=torch.float64), kept
 
@@ -142,6 +157,7 @@ def options_of_command_line() -> argparse.Namespace:
     option("out", type=Path, metavar="OUT.npz")
     number("--time-step", default=0.1, metavar="S", help="the robot's control period (default 0.1)")
     words("--velocities", metavar="NAME", help="columns that are velocities, not positions")
+    words("--angles", metavar="NAME", help="columns that are angles: jumps by a turn are removed")
     corners = ("PX", "PY", "X", "Y")
     places = "pixel and place (m) of a marker; four times or more"
     number("--marker", nargs=4, action="append", metavar=corners, help=places)
@@ -150,8 +166,12 @@ def options_of_command_line() -> argparse.Namespace:
     words("--derive", type=pair, metavar="DQ=Q", help="append velocities of smoothed positions")
     option("--crop", action="store_true", help="cut off the rests before and after the motion")
     option("--reference", metavar="DEMONSTRATION", help="use its timing, not the mean timing")
-    shift = "largest shift in time, as a fraction of the longest recording (default 0.2)"
-    number("--window", default=0.2, metavar="FRACTION", help=shift)
+    shift = "largest shift in time, as a fraction of the longest recording; 0: sampled alone"
+    number(
+        "--window",
+        help=f"{shift} (default 0.2, or see above)",
+        metavar="FRACTION",
+    )
     add_reading(parser, "--recorded-time-step")
     option("--draw", type=Path, metavar="PICTURE.png", help="draw recordings beside the result")
     option("--overwrite", action="store_true", help="replace OUT.npz and PICTURE.png if they exist")

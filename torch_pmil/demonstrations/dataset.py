@@ -15,7 +15,7 @@ from torch import Tensor
 from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 from torch_pmil.files import replacing
 
-TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
+TIME_STEP_TOLERANCE = 1e-3  # relative difference between two time steps that count as equal
 
 
 @dataclass(frozen=True, eq=False)

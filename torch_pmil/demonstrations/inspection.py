@@ -9,9 +9,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from torch_pmil.demonstrations.clock import EVEN, clock, on_ticks
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.recordings import ALIGN, Recordings
 from torch_pmil.demonstrations.time_unit import doubt_of_times
+from torch_pmil.demonstrations.turns import jumps_by_turns, turns_of, unwrapped, wrapping
 
 SAMPLES = 101  # of a stretched demonstration
 ROUNDING = 1e-9  # of the largest number: smaller ones are shown as 0
@@ -38,9 +40,9 @@ def describe(recordings: Recordings) -> str:
         <BLANKLINE>
         spread: standard deviation between demonstrations of one duration, root mean square over time
     """  # noqa: E501
-    steps = [times.diff() for times in recordings.times]
-    even = all(_is_even(one.numpy()) for one in steps)
-    rate = f"{_range([1 / one.median().item() for one in steps if len(one)])} Hz"
+    clocks = [clock(times) for times in recordings.times if len(times) > 1]
+    even = all(one.jitter <= EVEN * one.step for one in clocks)
+    rate = f"{_range([1 / one.step for one in clocks])} Hz"
     lines = {
         "format": recordings.format,
         "demonstrations": str(len(recordings.labels)),
@@ -70,12 +72,16 @@ def advice(
     """
     doubt = "" if recordings.in_seconds else doubt_of_times(recordings.times, control_period)
     late = [] if doubt else list(_timing(recordings, control_period))
+    angles = turns_of(recordings, list(wrapping(recordings)))
     found = [*_too_few(recordings), *filter(None, [doubt]), *late]
-    velocities = [recordings.names[column] for column in velocities_of(recordings)]
-    if late and len(recordings.labels) > 1:
+    found += [*recordings.holes(), *jumps_by_turns(recordings)]
+    continued = unwrapped(recordings, angles, {})
+    velocities = [recordings.names[column] for column in velocities_of(continued)]
+    if (late or (angles and not doubt)) and len(recordings.labels) > 1:
         step = ["--time-step", f"{control_period:g}"]
         command = [*ALIGN.split(), path, "demonstrations.npz", *step, *options]
         command += ["--velocities", *velocities] if velocities else []
+        command += ["--angles", *angles] if angles else []
         found.append(f"align them: {shlex.join(command)}")
     if not velocities:
         found.append(
@@ -137,12 +143,13 @@ def _timing(recordings: Recordings, control_period: float) -> Iterator[str]:
     lengths = [len(times) for times in recordings.times]
     if len(set(lengths)) > 1:
         yield f"lengths differ: {_range(lengths)} samples"
-    steps = np.concatenate([times.diff().numpy() for times in recordings.times])
-    if not _is_even(steps):
-        yield f"time steps differ: {_range(steps)} s"
-    if not len(steps):
+    clocks = [clock(times) for times in recordings.times if len(times) > 1]
+    if not clocks:
         return
-    step = np.median(steps)
+    step = float(np.median([one.step for one in clocks]))
+    if not all(on_ticks(times, step) for times in recordings.times):
+        steps = np.concatenate([times.diff().numpy() for times in recordings.times])
+        yield f"time steps differ: {_range(steps)} s"
     if not math.isclose(step, control_period, rel_tol=TIME_STEP_TOLERANCE):
         slower = "; what is between samples will be interpolated" if step > control_period else ""
         yield (
@@ -160,10 +167,6 @@ def _stretched(recordings: Recordings) -> np.ndarray:
             np.stack([np.interp(own, times.numpy(), column) for column in values.numpy().T], 1)
         )
     return np.stack(stretched)
-
-
-def _is_even(steps: np.ndarray) -> bool:
-    return bool((np.abs(steps - steps[:1]) <= TIME_STEP_TOLERANCE * steps[:1]).all())
 
 
 def _table(recordings: Recordings) -> list[str]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
+from torch_pmil.demonstrations.clock import clock, holes, on_ticks
+from torch_pmil.demonstrations.dataset import Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 
 ALIGN = "pmil align"
@@ -98,6 +100,16 @@ class Recordings:
             return self.places[demonstration][sample]
         return f"demonstration {self.labels[demonstration]}, sample {sample}"
 
+    def holes(self) -> list[str]:
+        """Stretches without samples, a line each."""
+        return [
+            f"demonstration {label} has no samples from {begin - times[0]:.4g} to "
+            f"{end - times[0]:.4g} s: this hole of {end - begin:.3g} s is filled by a guess; "
+            "record it again, or leave it out"
+            for label, times in zip(self.labels, self.times, strict=True)
+            for begin, end in holes(times)
+        ]
+
     def demonstrations(self) -> Demonstrations:
         """The recordings as demonstrations.
 
@@ -110,7 +122,7 @@ class Recordings:
             )
         self._check_lengths()
         times = torch.stack(self.times)  # (N, T+1)
-        self._check_steps(times.diff())
+        self._check_steps(float(np.median([clock(one).step for one in times])))
         time_step = ((times[:, -1] - times[:, 0]).mean() / (times.shape[1] - 1)).item()
         return Demonstrations(
             torch.stack(self.values), time_step, self.names, self.targets, self.target_names
@@ -129,12 +141,13 @@ class Recordings:
                     f"{self.labels[0]}, got {len(times)}; {ALIGN} makes them one length"
                 )
 
-    def _check_steps(self, steps: Tensor) -> None:
-        expected = steps[0, 0].item()
-        wrong = (steps - expected).abs() > TIME_STEP_TOLERANCE * expected
-        for demonstration, step in wrong.nonzero()[:1].tolist():
+    def _check_steps(self, expected: float) -> None:
+        for demonstration, times in enumerate(self.times):
+            if on_ticks(times, expected):
+                continue
+            steps = times.diff()
+            step = int((steps - expected).abs().argmax())
             raise DemonstrationError(
                 f"{self.place(demonstration, step + 1)}, time must follow the sample before it by "
-                f"{expected:.9g} s, got {steps[demonstration, step].item():.9g} s; {ALIGN} makes "
-                "steps one length"
+                f"{expected:.9g} s, got {steps[step].item():.9g} s; {ALIGN} makes steps one length"
             )

@@ -15,6 +15,7 @@ from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import EnvBase, SerialEnv, step_mdp
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
+from torch_pmil.envs.turning import Continued
 from torch_pmil.seeds import SEEDS
 
 
@@ -134,6 +135,7 @@ class AdaptedEnv(RobotEnv):
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
         self._turned = near.expand(*self.batch_size, len(self.angles))
+        self._continued = Continued(self.turning_entries)
         return self._measure()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -151,7 +153,7 @@ class AdaptedEnv(RobotEnv):
             raise RuntimeError(
                 f"the environment's observation must be finite, got {shown.tolist()}"
             )
-        measured = {"observation": self._state(shown)}
+        measured = {"observation": self._state(self._continued(shown))}
         if self.from_pixels:
             measured["pixels"] = self._last["pixels"]
         return TensorDict(measured, batch_size=self.batch_size)

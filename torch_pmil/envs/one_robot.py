@@ -14,6 +14,7 @@ from torchrl.record import PixelRenderTransform
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
+from torch_pmil.envs.turning import Turning
 
 WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
 
@@ -52,6 +53,7 @@ class OneRobot:
             check_gymnasium()
             env = gymnasium.make(env, render_mode="rgb_array")
         self.control_period, self.angles = control_period, tuple(angles)
+        self.turning_entries: tuple[Turning, ...] = ()  # of angles that are shown as they are
         self.physical = isinstance(env, RobotEnv) and env.physical
         if self.physical:
             _check_physical(env, self.control_period, self.angles)
@@ -77,6 +79,7 @@ class OneRobot:
         if self.physical:
             if num_envs is not None:
                 raise ValueError(f"a physical robot is one, got num_envs = {num_envs}")
+            self.env.turning_entries = self.turning_entries
             return self.env
         settings: dict[str, Any] = {
             "observation": self._observation,
@@ -86,7 +89,7 @@ class OneRobot:
         }
         check_num_envs(num_envs)
         robot = AdaptedEnv(self._made, self.control_period, **settings)
-        robot.turns = num_envs
+        robot.turns, robot.turning_entries = num_envs, self.turning_entries
         return robot
 
     @property

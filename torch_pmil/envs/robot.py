@@ -15,6 +15,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from torch_pmil.envs.turning import Continued, Turning
 from torch_pmil.seeds import LARGEST_SEED
 
 Array = NDArray[np.floating]
@@ -56,6 +57,8 @@ class RobotEnv(EnvBase):
         self.control_period, self.from_pixels = control_period, from_pixels
         self.guard: Callable[[Tensor], str] | None = None
         self.cut_short = ""
+        self.turning_entries: tuple[Turning, ...] = ()  # shown within a turn, and continued
+        self._continued = Continued(())
         self._generator = torch.Generator()
         self._set_seed(seed)
 

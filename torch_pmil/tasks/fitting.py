@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
@@ -49,7 +51,7 @@ def fitting(
         found = ", ".join(demonstrations.target_names) or "none"
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
     demonstrations = demonstrations.in_order(space.match_space.names)
-    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+    if abs(demonstrations.time_step / env.control_period - 1) > TIME_STEP_TOLERANCE:
         samples = torch.arange(demonstrations.positions.shape[1], dtype=torch.float64)
         check_times([demonstrations.time_step * samples], env.control_period)
         raise DemonstrationError(
@@ -57,7 +59,7 @@ def fitting(
             f"period, got {demonstrations.time_step} s; pmil align --time-step "
             f"{env.control_period} resamples a recording"
         )
-    return demonstrations
+    return replace(demonstrations, time_step=env.control_period)  # without the stamps' rounding
 
 
 def simulated_parts(

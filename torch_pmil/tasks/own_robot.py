@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_pmil.control.recovered_states import rates_of, recover_states
+from torch_pmil.control.recovered_states import rates_of, recover_states, without_turns
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import (
     DemonstrationError,
@@ -20,7 +20,6 @@ from torch_pmil.demonstrations import (
     Recordings,
     load_recordings,
 )
-from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
@@ -30,6 +29,7 @@ from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.seeds import Stream
+from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.site_match import site_match
@@ -93,7 +93,8 @@ def own_robot(
             entry ``dNAME`` is the velocity of the entry ``NAME``; the entries ``cos NAME`` and
             ``sin NAME`` become one entry of the state, the angle ``NAME``.
         units: of the entries of the state.
-        angles: names of entries that are angles (rad) and turn round.
+        angles: names of entries that are angles (rad) and turn round. What robot or recordings
+            show within one turn is continued beyond it.
         match: what the demonstrations show of the state; by default its entries of their names. The
             name of a site of a MuJoCo robot stands for its place, and for its axes if these are
             demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
@@ -134,16 +135,23 @@ def own_robot(
             f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
             f"{', '.join(observed)}"
         )
-    starts, near = None, torch.zeros(space.dim, dtype=torch.float64)
+    starts, near = None, settings["initial"].mean if "initial" in settings else None
     if settings.setdefault("evaluated", not robot.physical):
-        starts = _starts(robot, observed, space.names, 1 if "initial" in settings else STARTS)
+        starts = _starts(robot, observed, space.names, 1 if near is not None else STARTS)
+        beside = starts[0] if near is None else near
+        starts = without_turns(starts[:, None], beside, space.angles)[:, 0]
         near = starts.mean(0)
-    elif "initial" in settings:
-        near = settings["initial"].mean
+    recorded = on_one_turn(recorded, space, near)
+    if near is None:
+        near = torch.zeros(space.dim, dtype=torch.float64)
     adapted, rates = robot(), rates_of(space.names)
     velocities = {space.names[rate] for rate in rates}
     shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
     states = recover_states(space.match_space, shown.positions, control_period, near, rates)
+    if isinstance(robot, OneRobot):
+        robot.turning_entries = turning(
+            observed, space, states[:, 0].mean(0) if starts is None else near
+        )
     of_task = {entry.name for entry in fields(Task)}
     given = {name: value for name, value in settings.items() if name in of_task}
     chosen = {name: value for name, value in settings.items() if name not in of_task}
@@ -266,14 +274,9 @@ def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], reset
 def _at_control_rate(
     recorded: Demonstrations | Recordings, control_period: float, velocities: Collection[str]
 ) -> Demonstrations:
-    """Recordings at the control period; those of several lengths or another rate are aligned."""
+    """Recordings at the control period; those of several durations are aligned."""
     if isinstance(recorded, Demonstrations):
         return recorded
-    steps = torch.cat([times.diff() for times in recorded.times])
-    as_wanted = torch.full_like(steps, control_period)
-    same_length = len({len(times) for times in recorded.times}) == 1
-    if same_length and torch.allclose(steps, as_wanted, rtol=TIME_STEP_TOLERANCE):
-        return recorded.demonstrations()
     if not recorded.in_seconds:
         check_times(recorded.times, control_period)
     shown = [name for name in recorded.names if name in velocities]

@@ -14,8 +14,11 @@ from dtaidistance import dtw, dtw_ndim
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor
 
+from torch_pmil.demonstrations.clock import clock, holes
+
 RESOLUTION = 400  # least number of compared samples of the longest trajectory
 MOST_SAMPLES = 2**24  # of a trajectory at even times
+WINDOW = 0.2  # largest shift of times, as a fraction of the longest trajectory
 KNOTS = 20  # of a warp, between its ends: timing changes smoothly
 # of a step off the diagonal, in spreads of the coordinates, so that time advances at rest
 PENALTY = 0.05
@@ -28,7 +31,7 @@ class AlignmentError(ValueError):
 def align(
     trajectories: Sequence[Tensor],
     velocities: Sequence[int] = (),
-    window: float = 0.2,
+    window: float = WINDOW,
     reference: int | None = None,
     isotropic: bool = False,
 ) -> Tensor:
@@ -92,16 +95,19 @@ def align(
     return torch.from_numpy(np.stack(aligned))
 
 
-def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
+def resample(values: Tensor, times: Tensor, time_step: float, samples: int | None = None) -> Tensor:
     """Values (*batch, T', M) at even times from the first one on, by a cubic spline.
 
-    Sampling noise is not smoothed. The last sample is at most one time step before the last of
-    ``times``.
+    Sampling noise is not smoothed. The last sample is less than one time step before the end of the
+    recording. If the stamps only jitter, start and end are those of the clock that fits them best.
+    A hole without samples is bridged by a monotone cubic, which does not overshoot.
 
     Args:
         values: (*batch, T, M).
         times: of the samples, increasing, in s, (T,).
         time_step: between two samples of the result, in s.
+        samples: T', by default as many as the recording lasts for; what is more than half a step
+            beyond its end is that at its end.
 
     Raises:
         AlignmentError: a shape is wrong, a number is not finite, times do not increase, or the time
@@ -125,9 +131,16 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
             f"time_step must leave at most {MOST_SAMPLES} samples of {duration:g} s, got "
             f"{time_step} s"
         )
-    even = times[0].item() + time_step * np.arange(int(duration / time_step + 1e-6) + 1)
-    spline = CubicSpline(times.numpy(), values.numpy(), axis=-2)
-    return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
+    found = clock(times)
+    count = samples or found.samples(time_step)
+    stamps, numbers, half = times.numpy(), values.numpy(), found.step / 2
+    even = found.start + time_step * np.arange(count)
+    even = np.clip(even, stamps[0] - half, stamps[-1] + half)
+    sampled = CubicSpline(stamps, numbers, axis=-2)(even)
+    for begin, end in holes(times):
+        within = (begin < even) & (even < end)
+        sampled[..., within, :] = PchipInterpolator(stamps, numbers, axis=-2)(even[within])
+    return torch.from_numpy(sampled)
 
 
 def check_samples(values: Tensor, times: Tensor, fewest: int, batch: bool = False) -> None:

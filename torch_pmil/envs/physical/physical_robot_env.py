@@ -18,6 +18,7 @@ from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
 from torch_pmil.envs.physical.readings import ControlClock, Readings
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
 from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.turning import Continued
 from torch_pmil.files import bounded_line
 
 PATIENCE = 2  # control periods without an action after which the robot is stopped
@@ -151,6 +152,7 @@ class PhysicalRobotEnv(RobotEnv):
             self._sent = _vector("holding_action", self.holding_action(self._readings.latest.state))
         self._clock.start()
         self._robot.start()
+        self._continued = Continued(self.turning_entries)
         return self._shown(_Timing())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -227,7 +229,11 @@ class PhysicalRobotEnv(RobotEnv):
             for key, value in shown.items()
         }
         return TensorDict(
-            {"observation": self._readings.latest.state, "sent": self._sent, **entries}
+            {
+                "observation": self._continued(self._readings.latest.state),
+                "sent": self._sent,
+                **entries,
+            }
         )
 
 

@@ -20,6 +20,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_start,
     check_stops,
     check_torques,
+    check_turns,
 )
 from torch_pmil.tasks.task import Task
 
@@ -56,6 +57,7 @@ def check(task: Task) -> list[Finding]:
         *_check_robot(task, noise_std),
         *check_start(demonstrations, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
+        *check_turns(demonstrations),
         *check_modes(sets, numbers, noise_std),
         *check_length(demonstrations),
         *check_duplicates(demonstrations, noise_std),

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.demonstrations.turns import jumps_by_turns
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.diagnosis.modes import Split, split_in_two
 
@@ -185,6 +186,11 @@ def check_jumps(
                 )
                 findings.append(Finding("jumps in demonstrations", message))
     return findings
+
+
+def check_turns(demonstrations: Demonstrations) -> list[Finding]:
+    """Find entries that jump by a turn, as angles do that are recorded within one."""
+    return [Finding("angles that wrap", message) for message in jumps_by_turns(demonstrations)]
 
 
 def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:

@@ -1,0 +1,122 @@
+"""Angles that were recorded within one turn, and jump by it where the motion goes on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations.dataset import Demonstrations
+from torch_pmil.demonstrations.recordings import Recordings
+
+TURNS = (2 * math.pi, 360.0)  # rad and degrees
+MORE = 1.2  # turns, in which no wrapped angle with noise is
+SMOOTH = 0.25  # of a turn, second difference of a motion without its jumps
+JUMP = 0.7  # of a turn, second difference of a jump
+
+Shown = TypeVar("Shown", bound=Recordings | Demonstrations)
+
+
+def unwrapped(shown: Shown, turns: Mapping[str, float], near: Mapping[str, float]) -> Shown:
+    """Recordings or demonstrations whose angles go on beyond a turn, and begin within one turn.
+
+    Args:
+        shown: what was recorded.
+        turns: names of the entries that are angles, with the size of a turn.
+        near: values near which these entries begin; by default, near those of the first recording.
+
+    Example:
+        >>> wrapped = torch.tensor([[3.0, -3.1, -2.9], [-3.2, -3.1, -2.9]])[..., None].double()
+        >>> shown = Demonstrations(wrapped, 0.1, ("q",))
+        >>> unwrapped(shown, {"q": 2 * math.pi}, {"q": 3.0}).positions[..., 0].round(decimals=2)
+        tensor([[3.0000, 3.1800, 3.3800],
+                [3.0800, 3.1800, 3.3800]], dtype=torch.float64)
+    """
+    values = [one.clone() for one in _values(shown)]
+    for name, turn in turns.items():
+        if name not in shown.names:
+            continue
+        column = shown.names.index(name)
+        start = near.get(name, values[0][0, column].item())
+        for one in values:
+            one[:, column] = _continued(one[:, column], start, turn)
+    held: dict[str, Any] = {"values": tuple(values)}
+    if isinstance(shown, Demonstrations):
+        held = {"positions": torch.stack(values)}
+    return replace(shown, **held)
+
+
+def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, int]]:
+    """Entries that jump by a turn: its size, the first recording that does, and its sample.
+
+    Without the jumps the entry must be smooth, and with them it must not: a fast motion is none.
+    """
+    found: dict[str, tuple[float, int, int]] = {}
+    for column, name in enumerate(shown.names):
+        columns = [one[:, column].double().numpy() for one in _values(shown)]
+        for turn in TURNS:
+            for number, one in enumerate(columns):
+                if (sample := _jump(one, turn)) and not _rough(one, turn):
+                    found[name] = turn, number, sample
+                    break
+    return found
+
+
+def turns_of(shown: Recordings | Demonstrations, names: Sequence[str]) -> dict[str, float]:
+    """Size of a turn of entries that are angles: 360 where they jump by it or exceed 4 pi."""
+    found = wrapping(shown)
+    largest = [one.abs().amax(0) for one in _values(shown)]
+    turns = {}
+    for name in names:
+        column = shown.names.index(name)
+        degrees = max(one[column].item() for one in largest) > 2 * TURNS[0]
+        turns[name] = found[name][0] if name in found else TURNS[degrees]
+    return turns
+
+
+def jumps_by_turns(shown: Recordings | Demonstrations) -> Iterator[str]:
+    """Entries that jump by a turn although nobody declared them angles, a line each."""
+    for name, (turn, number, sample) in wrapping(shown).items():
+        if isinstance(shown, Recordings):
+            label, times = shown.labels[number], shown.times[number]
+            at = (times[sample] - times[0]).item()
+        else:
+            label, at = str(number), shown.time_step * sample
+        yield (
+            f"{name} of demonstration {label} jumps by a turn ({turn:.4g}) at {at:.4g} s: if it is "
+            f"an angle, declare it, by angles=({name!r},) or pmil align --angles {name}"
+        )
+
+
+def _values(shown: Recordings | Demonstrations) -> Sequence[Tensor]:
+    return [*(shown.positions if isinstance(shown, Demonstrations) else shown.values)]
+
+
+def _continued(angles: Tensor, near: float, turn: float) -> Tensor:
+    """Angles (T,) moved by whole turns, so that they go on, from the one nearest to ``near``."""
+    steps = angles.diff(prepend=torch.tensor([near], dtype=angles.dtype))
+    turns = (steps / turn).round()
+    wraps = _jump(angles.numpy(), turn) and not _rough(angles.numpy(), turn)
+    if angles.amax() - angles.amin() > MORE * turn and not wraps:
+        turns[1:] = 0.0  # it goes on already, however fast
+    return angles - turn * turns.cumsum(0)
+
+
+def _jump(values: np.ndarray, turn: float) -> int:
+    """The first sample after a jump by a turn, or 0."""
+    steps = np.diff(values)
+    jumps = np.flatnonzero(np.abs(steps) > turn / 2)
+    bends = np.abs(np.diff(values, n=2))
+    if not len(jumps) or not len(bends) or bends.max() < JUMP * turn:
+        return 0
+    return int(jumps[0]) + 1
+
+
+def _rough(values: np.ndarray, turn: float) -> bool:
+    bends = np.abs(np.diff(np.unwrap(values, period=turn), n=2))
+    return bool(len(bends)) and bends.max() > SMOOTH * turn

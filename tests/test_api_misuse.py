@@ -802,7 +802,11 @@ MISUSES: list[Misuse] = [
     *ill_shown(
         shown, "time_step must be positive and finite, in", time_step=[0.0, NAN, "fast", None]
     ),
-    *ill_shown(partial(shown, zeros(2, 5, 2)), "names must be 2 different", names=[("x", "x")]),
+    *ill_shown(
+        partial(shown, zeros(2, 5, 2)),
+        "names must be different, one per column",
+        names=[("x", "x")],
+    ),
     *ill_shown(shown, "positions must be finite, got", full(NAN, 2, 5, 1)),
     *ill_shown(shown, "positions must be an array of numbers, got new():", "abc"),
     *ill_shown(shown, "positions must hold real", zeros(2, 5, 1).cdouble()),

@@ -209,6 +209,6 @@ def test_picture_is_drawn_if_asked_and_a_column_of_words_is_one_line(
     picture = recorded.with_name("drawn.png")
     assert f"wrote {picture}" in inspect(recorded, "--keys", "q", "--draw", picture)
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    words = "row 2, column phase must be a finite number, got 'reach'"
+    words = "row 2, column phase must be a finite number, or left out by keys, got 'reach'"
     with pytest.raises(SystemExit, match=rf"error: .*recorded reaches.csv: {words}"):
         inspect(recorded)

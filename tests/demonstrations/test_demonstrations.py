@@ -170,8 +170,12 @@ MALFORMED_CSV = {
     "demonstration 2 must have 4 samples like demonstration 1, got 3; pmil align makes them one "
     "length": CSV[:-1],
     "row 3 must have 4 columns, got 3": with_row(CSV, 3, "1,0.1,5"),
-    "row 3, column x must be a finite number, got 'five'": with_row(CSV, 3, "1,0.1,five,0"),
-    "row 3, column y must be a finite number, got 'nan'": with_row(CSV, 3, "1,0.1,5,nan"),
+    "row 3, column x must be a finite number, or left out by keys, got 'five'": with_row(
+        CSV, 3, "1,0.1,five,0"
+    ),
+    "row 3, column y must be a finite number, or left out by keys, got 'nan'": with_row(
+        CSV, 3, "1,0.1,5,nan"
+    ),
     "row 9, time must follow the sample before it by 0.1 s, got 0.2 s; pmil align makes steps one "
     "length": with_row(CSV, 9, "2,0.4,5,0"),
     "row 3, time must increase, got 0.0 s after 0.0 s": with_row(CSV, 3, "1,0.0,5,0"),

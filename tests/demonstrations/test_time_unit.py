@@ -15,6 +15,8 @@ EPOCH = 1_694_012_345
     ("times", "period", "looks", "helps"),
     [
         (10 * STEPS, 0.1, "milliseconds", "divide it by 1000, or name the column time_ms"),
+        (1.001 * STEPS, 0.1, "milliseconds", "divide it by 1000, or name the column time_ms"),
+        (1.001 * torch.arange(2000), 0.5, "milliseconds", "divide it by 1000, or name the"),
         (10 * STEPS, 0.001, "milliseconds", "divide it by 1000, or name the column time_ms"),
         (EPOCH * 1e3 + 33.3 * STEPS, 0.05, "milliseconds", "divide it by 1000, or"),
         (100 * STEPS[:12], 0.1, "milliseconds", "divide it by 1000, or"),
@@ -46,6 +48,7 @@ def test_unit_is_named_with_what_helps(
         (0.01, 200, 0.1),
         (0.1, 6000, 0.1),  # ten minutes
         (1.0, 5, 0.1),  # keyframes
+        (1.0, 1500, 1.0),
     ],
 )
 @pytest.mark.parametrize("start", [0, EPOCH])

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from torch_pmil.demonstrations.errors import DemonstrationError
 
-SLOW = 0.5  # s between samples, and
-COARSE = 5  # control periods between samples: then seconds are unlikely, unless
-KEYFRAMES = 10  # a recording has fewer samples than that, and
-STEPS = 1000  # lasts at most that many control periods
+SLOW = 0.5  # s between samples at least: faster ones are not doubted
+COARSE, SAMPLES = 5, 10  # control periods between samples, in as many samples: fewer are keyframes
+COARSE_LONG, LONG = 1.5, 1000  # the same, in a recording of more control periods than that
 UNITS = ("milliseconds", "microseconds", "nanoseconds")
 NAMES = ("time_ms", "time_us", "time_ns")
 
@@ -46,8 +45,9 @@ def doubt_of_times(times: Sequence[Tensor], control_period: float) -> str:
             f"recordings of {duration:g} s are shorter than two control periods of "
             f"{control_period:g} s: both must be in seconds"
         )
-    many = samples >= KEYFRAMES or duration > STEPS * control_period
-    if step < max(SLOW, COARSE * control_period) or not many:
+    coarse = samples >= SAMPLES and step >= COARSE * control_period
+    coarse |= duration > LONG * control_period and step >= COARSE_LONG * control_period
+    if step < SLOW or not coarse:
         return ""
     power = min(max(math.floor(math.log(step, 1000)), 0), len(UNITS) - 1)
     frames = bool((steps == 1).all())

@@ -237,7 +237,7 @@ def _space(
             raise DemonstrationError(
                 f"demonstrations must be of entries of the state {', '.join(names)}, got "
                 f"{', '.join(unknown)}: name the entries by state=, or say by match= what the "
-                "demonstrations show of them"
+                "demonstrations show of them, or choose columns by load_recordings(PATH, keys=...)"
             )
         match = MatchSpace.of_entries(shown, names, [known[names.index(name)] for name in shown])
     return StateSpace(names, known, tuple(i for i, n in enumerate(names) if n in turning), match)

@@ -54,7 +54,10 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
         ),
         ("time,y,x,x\n0,1,2,3", "row 1 must hold a column x once, got 2 of them"),
         ("x,y\n1,2", "row 1 must be time,NAME,..., got x,y"),
-        ("time,x,y\n0,1,2\n0.1,1,far", "row 3, column y must be a finite number, got 'far'"),
+        (
+            "time,x,y\n0,1,2\n0.1,1,far",
+            "row 3, column y must be a finite number, or left out by keys, got 'far'",
+        ),
         ("time,x,y\n0,1,2\n0,1,2", "row 3, time must increase, got 0.0 s after 0.0 s"),
     ],
 )

@@ -210,3 +210,19 @@ def test_minari_of_another_storage_is_refused(minari: Path) -> None:
     metadata.write_text("{")
     complaint = f"{minari}: not a readable Minari data set ("
     assert refused(load_recordings, minari).startswith(complaint)
+
+
+def test_wide_data_set_that_is_not_asked_for_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "wide.hdf5"
+    with h5py.File(path, "w") as file:
+        for number in range(2):
+            file[f"data/demo_{number}/obs/q"] = np.arange(5).astype(">f8")
+            file[f"data/demo_{number}/obs/picture"] = np.zeros((5, 20_000), np.uint8)
+    read = load_recordings(path, keys=["q"], time_step=0.1)
+    assert [one.flatten().tolist() for one in read.values] == [[0.0, 1.0, 2.0, 3.0, 4.0]] * 2
+    message = f"{path}: there must be at most 10000 entries, got 20000"
+    assert refused(load_recordings, path, keys=["picture"], time_step=0.1) == message
+    with h5py.File(path, "w") as file:
+        file.create_group("data/demo_0/obs")
+    message = f"{path}: demo_0/obs must hold data sets of numbers, found none"
+    assert refused(load_recordings, path, time_step=0.1) == message

@@ -207,7 +207,9 @@ def _numbers(row: _Row, names: Sequence[str], columns: Sequence[int], unit: str)
         except ValueError:
             numbers.append(math.nan)
         if not math.isfinite(numbers[-1]):
+            needed = name == TIME or name.startswith(TARGET_PREFIX)
+            wanted = "a finite number" + ("" if needed else ", or left out by keys")
             raise DemonstrationError(
-                f"{row.place}, column {name} must be a finite number, got {row.cells[column]!r}"
+                f"{row.place}, column {name} must be {wanted}, got {row.cells[column]!r}"
             )
     return [numbers[0] / PER_SECOND.get(unit[:1], 1.0), *numbers[1:]]

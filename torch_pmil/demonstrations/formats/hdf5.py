@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torch_pmil.demonstrations.errors import (
+    MOST,
     DemonstrationError,
     check_count,
     opened_set,
@@ -78,7 +79,11 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
             raise DemonstrationError(
                 f"{labels[0]}/{layout.observed} must hold data sets of numbers, found none"
             )
-        groups = {key: names_of(key, data.shape) for key, data in first.items()}
+        groups = {
+            key: names_of(key, data.shape)
+            for key, data in first.items()
+            if key in keys or len(first) == 1 or math.prod(data.shape[1:]) <= MOST["entries"]
+        }
         entries = choose(groups, keys, list(first) if len(first) == 1 else ())
         needed = sorted({entry.key for entry in entries})
         shown = [_needed(root, label, layout.observed, first, needed) for label in labels]

@@ -25,7 +25,7 @@ class Setting:
         kind: annotation of its field.
         unit: of its numbers, "" if they have none.
         words: the values in words; derived from kind and bounds if empty.
-        least, above, most, below: bounds of its numbers, the first and third included.
+        least, above, most: bounds of its numbers, included but for ``above``.
     """
 
     meaning: str
@@ -35,7 +35,6 @@ class Setting:
     least: float | None = None
     above: float | None = None
     most: float | None = None
-    below: float | None = None
 
     @property
     def values(self) -> str:
@@ -49,8 +48,8 @@ class Setting:
             return "true or false"
         parts = [self.words] if self.words else []
         parts += ["whole number"] if self.kind == "int" else []
-        bounds = (self.above, self.least, self.below, self.most)
-        for word, bound in zip(("above", "at least", "below", "at most"), bounds, strict=True):
+        bounds = (self.above, self.least, self.most)
+        for word, bound in zip(("above", "at least", "at most"), bounds, strict=True):
             if bound is not None:
                 number = str(int(bound)) if bound == int(bound) else f"{bound:g}"
                 parts.append(f"{word} {number}")
@@ -82,7 +81,6 @@ class Setting:
             and (self.least is None or number >= self.least)
             and (self.above is None or number > self.above)
             and (self.most is None or number <= self.most)
-            and (self.below is None or number < self.below)
         )
 
 

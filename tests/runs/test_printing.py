@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from torch_pmil.runs.printing import making_the_rest, tell, warn_incomplete
+from torch_pmil.runs.printing import making_the_rest, success_rates, tell, warn_incomplete
+from torch_pmil.search.promise import Promise
 
 
 def failing(error: BaseException):
@@ -47,3 +49,21 @@ def test_what_is_missing_is_one_line(capsys: pytest.CaptureFixture[str]) -> None
     )
     warn_incomplete("", ["video: none"], making_the_rest(Path("-a b")))
     assert "; pmil resume './-a b' makes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("rates", "rate", "line"),
+    [
+        ((0.3, 0.354, 0.312), 0.95, "measured 30%, predicted 35%, promised 31.2%, asked 97.5%"),
+        ((None, 0.1, None), 0.9, "predicted 10%, asked 95.0%"),
+        ((1.0, None, None), None, "measured 100%"),
+        ((None, None, None), None, ""),
+    ],
+)
+def test_trial_shows_its_success_rates_and_the_one_that_ends_a_run(
+    rates: tuple[float | None, ...], rate: float | None, line: str
+) -> None:
+    names = ("success_rate", "predicted_success_rate", "promised_success_rate")
+    trial = SimpleNamespace(**dict(zip(names, rates, strict=True)))
+    promise = None if rate is None else Promise(rate, lambda states: states, 0.1)
+    assert ", ".join(success_rates(trial, promise)) == line

@@ -93,8 +93,8 @@ def wrong_values(name: str) -> tuple[object, ...]:
         return NO_TENSORS
     outside = (
         *(bound - 1 for bound in (declared.least, declared.above) if bound is not None),
-        *(bound + 0.5 for bound in (declared.most, declared.below) if bound is not None),
-        *(bound for bound in (declared.above, declared.below) if bound is not None),
+        *([] if declared.most is None else [declared.most + 0.5]),
+        *([] if declared.above is None else [declared.above]),
     )
     return (*outside, *OTHERS[declared.kind])
 

@@ -13,7 +13,7 @@ from tests.helpers.integrator import belief_at_one, damped_integrator, integrato
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.promise import CONFIDENCE, SAMPLES, PredictedSuccess, Promise
+from torch_pmil.search.promise import CONFIDENCE, LARGEST, SAMPLES, PredictedSuccess, Promise
 
 HORIZON = 6
 
@@ -83,14 +83,20 @@ def test_bound_is_above_the_true_rate_at_most_as_often_as_the_confidence_says(ra
     assert bounds[0] == 0.0 and bounds[-1] == pytest.approx((1 - CONFIDENCE) ** (1 / SAMPLES))
 
 
+def test_every_rate_that_can_be_promised_can_be_kept() -> None:
+    assert Promise(LARGEST, lambda states: states, 0.1).aim <= PredictedSuccess(SAMPLES).least
+
+
 def test_half_of_the_promised_failures_are_left_to_what_the_model_does_not_know() -> None:
     promise = Promise(0.9, lambda states: states, 0.1)
     assert promise.aim == pytest.approx(0.95)
 
 
-@pytest.mark.parametrize("rate", [0, 1, -0.1, 1.5, "0.9", True, float("nan")])
+@pytest.mark.parametrize("rate", [0, 0.99, 1, -0.1, 1.5, "0.9", True, float("nan")])
 def test_rate_that_cannot_be_promised_is_an_error(rate: object) -> None:
-    with pytest.raises(ValueError, match="promise must be a number above 0 and below 1, got"):
+    with pytest.raises(
+        ValueError, match=r"promise must be a number above 0 and at most 0\.98, got"
+    ):
         Promise(rate, lambda states: states, 0.1)
 
 

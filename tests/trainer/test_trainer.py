@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import math
 import sys
 import textwrap
 from collections import Counter
@@ -343,7 +344,9 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
     """
 
     def choose(
-        *outcomes: tuple[float, float | None], promise: ScriptedPromise | None = None
+        *outcomes: tuple[float, float | None],
+        promise: ScriptedPromise | None = None,
+        measured: tuple[float, ...] = (),
     ) -> Candidate:
         policy, made = trained.loss_module.actor_network, []
         for trial, (own_error, _) in enumerate(outcomes, start=1):
@@ -358,7 +361,12 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
             return torch.tensor([kl / 2, kl / 2])
 
         monkeypatch.setattr(trained.state, "candidates", made)
-        monkeypatch.setattr(trained.state, "trials", [SimpleNamespace(steps=HORIZON)] * len(made))
+        count = 20 if measured else 0
+        trials = [
+            SimpleNamespace(steps=HORIZON, success_rate=rate, n_eval=count)
+            for rate in measured or [None] * len(made)
+        ]
+        monkeypatch.setattr(trained.state, "trials", trials)
         monkeypatch.setattr(trained, "promise", promise)
         monkeypatch.setattr(trained, "tolerance", 0.25)
         monkeypatch.setattr(trained.loss_module, "per_step", per_step)
@@ -398,6 +406,43 @@ def test_best_policy_is_predicted_to_succeed_most_often(
     """Own errors and KL decide among those that are alike."""
     outcomes = [(0.9, 2.0), (0.2, 3.0), (0.1, 1.0)]
     assert candidates(*outcomes, promise=ScriptedPromise(*rates)).trial == best
+
+
+@pytest.mark.parametrize(
+    ("own", "rates", "measured", "best"),
+    [
+        ((0.1, 0.1), (0.96, 0.99), (1.0, 0.8), 1),
+        ((0.1, 0.1), (0.6, 0.99), (0.95, 0.95), 2),
+        ((0.1, 0.1), (0.6, 0.99), (0.95, 0.9), 2),
+        ((0.1, 0.1), (0.3, 1.0), (0.7, 0.1), 1),
+        ((0.1, 0.9), (0.95, 0.97), (), 1),
+        ((0.9, 0.1), (0.99, 0.5), (), 1),
+        ((0.1, 0.1), (), (0.5, 0.6), 2),
+        ((0.1, 0.9), (), (0.95, 1.0), 1),
+        ((math.inf, 0.9), (0.99, 0.1), (1.0, 0.0), 2),
+    ],
+    ids=[
+        "measured far better",
+        "measured alike, predicted better",
+        "one start of 20 weighs less than the prediction",
+        "a model that is sure and wrong",
+        "own success, predicted alike",
+        "own failure, predicted far better",
+        "nothing predicted",
+        "own rollout counts as one start, and errors decide where all is alike",
+        "cut short",
+    ],
+)
+def test_best_policy_is_best_by_what_was_measured_and_predicted(
+    candidates: Callable[..., Candidate],
+    own: tuple[float, float],
+    rates: tuple[float, ...],
+    measured: tuple[float, ...],
+    best: int,
+) -> None:
+    promise = ScriptedPromise(*rates) if rates else None
+    outcomes = [(error, 1.0) for error in own]
+    assert candidates(*outcomes, promise=promise, measured=measured).trial == best
 
 
 # what the robot executes

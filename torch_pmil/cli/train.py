@@ -163,7 +163,7 @@ def learned(
         settings.folder,
         shlex.join(command),
         progress_bar=alone,
-        on_trial=partial(print_trial, label, task.objective),
+        on_trial=partial(print_trial, label, task),
         resume=settings.resume,
         logger=settings.logger,
         overwrite=settings.overwrite,

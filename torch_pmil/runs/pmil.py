@@ -81,7 +81,7 @@ class PMIL:
             trials,
             out,
             _command(),
-            on_trial=partial(print_trial, "", self.task.objective),
+            on_trial=partial(print_trial, "", self.task),
             resume=resume,
             logger="csv",
             overwrite=overwrite,

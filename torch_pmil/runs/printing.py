@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from tqdm import tqdm
@@ -14,7 +14,8 @@ from torch_pmil.demonstrations import DemonstrationError
 from torch_pmil.files import bounded_line
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.summaries import judged_alone
-from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.search.promise import Promise
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import Trial
 
 LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what there may be to see of a run
@@ -47,17 +48,28 @@ def warn_of(label: str, findings: list[Finding]) -> None:
             say(label, f"warning: {count - MOST_WARNINGS} more of {cause}")
 
 
-def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
+def print_trial(label: str, task: Task, trial: Trial) -> None:
     """Print one line for a trial."""
-    predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
-    measured = ""
-    if trial.success_rate is not None:
-        measured = f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, "
+    objective = task.objective
+    loss = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
+    known = ", ".join(success_rates(trial, task.promised))
     say(
         label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "
-        f"rollout {own_end(trial)}, {measured}search {trial.search_seconds:.0f} s",
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {loss}, own rollout "
+        f"{own_end(trial)}{known and ', success '}{known}",
     )
+
+
+def success_rates(trial: Trial, promise: Promise | None) -> Iterator[str]:
+    """The success rates of a trial's policy that are known, and the one that the promise asks."""
+    if trial.success_rate is not None:
+        yield f"measured {trial.success_rate:.0%}"
+    if trial.predicted_success_rate is not None:
+        yield f"predicted {trial.predicted_success_rate:.0%}"
+    if trial.promised_success_rate is not None:
+        yield f"promised {trial.promised_success_rate:.1%}"
+    if promise is not None:
+        yield f"asked {promise.aim:.1%}"
 
 
 def own_end(trial: Trial) -> str:
@@ -95,6 +107,7 @@ def print_result(label: str, summary: dict) -> None:
         f"policy of trial {summary['saved_trial']}: {of_success(summary)} after "
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
+        *([summary["unmet"]] if "unmet" in summary else []),
         of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
     ]

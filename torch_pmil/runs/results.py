@@ -78,6 +78,7 @@ def _measured(
     ).mean(0)
     return {
         "stop_reason": trainer.stop_reason,
+        **({"unmet": unmet} if (unmet := trainer.ending.unmet(trainer.trials)) else {}),
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
         "saved_success_rate": fmean(rates.values()),

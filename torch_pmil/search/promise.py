@@ -16,6 +16,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 SAMPLES = 500
 CONFIDENCE = 0.95
+LARGEST = 0.98  # rate that can be promised: if all samples succeed, the bound is 99.4 %
 SEED = 0  # of the samples: policies are compared under the same random numbers
 
 
@@ -53,7 +54,7 @@ class Promise:
     elsewhere. A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
 
     Args:
-        rate: the success rate, above 0 and below 1.
+        rate: the success rate, above 0 and at most ``LARGEST``.
         error: of states x_0..x_T, (N, T + 1, D) to (N).
         tolerance: error up to which a trajectory is a success.
 
@@ -67,8 +68,10 @@ class Promise:
 
     def __post_init__(self) -> None:
         number = isinstance(self.rate, int | float) and not isinstance(self.rate, bool)
-        if not number or not 0 < self.rate < 1:
-            raise ValueError(f"promise must be a number above 0 and below 1, got {self.rate!r}")
+        if not number or not 0 < self.rate <= LARGEST:
+            raise ValueError(
+                f"promise must be a number above 0 and at most {LARGEST}, got {self.rate!r}"
+            )
         check_positive("tolerance", self.tolerance, zero=True)
 
     @property

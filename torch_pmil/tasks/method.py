@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.promise import LARGEST
 from torch_pmil.settings import Settings, setting
 
 OF_FEATURES: dict[str, Any] = {
@@ -97,7 +98,7 @@ class EndingSettings(Settings):
         0.95,
         "success rate from fresh starts that a finished run promises: a lower one ends sooner",
         above=0,
-        below=1,
+        most=LARGEST,
         unit="fresh starts",
     )
     confirmations: int = setting(

@@ -13,6 +13,8 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Candidate, Trial
 
+WEIGHT = 10  # rollouts that count as much as the model's prediction, which may be wrong
+
 
 def best_candidate(
     candidates: Sequence[Candidate],
@@ -24,10 +26,11 @@ def best_candidate(
 ) -> Candidate:
     """The best of the policies that ran, which the loss then holds.
 
-    Among those whose own rollout was not cut short it has the highest predicted success rate, up to
-    :attr:`Promise.aim`. If several are alike, or no success is predicted, it has the smallest error
-    of the own rollout, where all successes count the same. Next come the longest own rollout and
-    the smallest predicted loss.
+    Among those whose own rollout was not cut short it has the highest success rate by all that is
+    known: its rollouts from fresh starts, its own rollout, and the predicted rate, up to
+    :attr:`Promise.aim`, which counts as much as ``WEIGHT`` rollouts. If several are alike, it has
+    the smallest error of the own rollout, where all successes count the same. Next come the longest
+    own rollout and the smallest predicted loss.
 
     Args:
         candidates: one at least.
@@ -40,16 +43,24 @@ def best_candidate(
 
     def merit(candidate: Candidate) -> tuple[float, ...]:
         loss.actor_network.load_state_dict(candidate.parameters)
-        alike = 0.0
+        trial, predicted = trials[candidate.trial - 1], None
         if promise is not None:
-            alike = min(promise.predicted(loss, initial).least, promise.aim)
+            predicted = min(promise.predicted(loss, initial).least, promise.aim)
         error = max(candidate.own_error, tolerance)
-        steps = trials[candidate.trial - 1].steps
-        return error < math.inf, alike, -error, steps, -_predicted_loss(loss, initial)
+        rate = _known_rate(trial, error <= tolerance, predicted)
+        return error < math.inf, rate, -error, trial.steps, -_predicted_loss(loss, initial)
 
     chosen = max(candidates, key=merit)
     loss.actor_network.load_state_dict(chosen.parameters)
     return chosen
+
+
+def _known_rate(trial: Trial, own_success: bool, predicted: float | None) -> float:
+    """Success rate by the rollouts of a policy and, if it is not None, the model's prediction."""
+    successes = own_success + (trial.success_rate or 0.0) * trial.n_eval
+    if predicted is None:
+        return successes / (1 + trial.n_eval)
+    return (successes + WEIGHT * predicted) / (1 + trial.n_eval + WEIGHT)
 
 
 @torch.no_grad()

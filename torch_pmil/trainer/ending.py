@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torch_pmil.checks import check_whole
 from torch_pmil.search.promise import Promise
@@ -39,17 +40,44 @@ class Ending:
 
     def reason(self, trials: Sequence[Trial]) -> str:
         """Why a run ends after these trials, one at least; "" if it continues."""
-        last = trials[-self.confirmations :]
-        if len(last) == self.confirmations and all(trial.own_success for trial in last):
+        if self._confirmed(trials):
             count = NUMERALS.get(self.confirmations, self.confirmations)
             done = f"the own rollouts of {count} trials in a row succeeded"
             if self.confirmations == 1:
                 done = "the own rollout succeeded"
             if self.promise is None:
                 return done
-            rate = last[-1].promised_success_rate
+            rate = trials[-1].promised_success_rate
             if rate is not None and rate >= self.promise.aim:
                 return (
                     f"{done}, and the model predicts success from {rate:.1%} of the starts at least"
                 )
         return LIMIT if len(trials) >= self.trials else ""
+
+    def unmet(self, trials: Sequence[Trial]) -> str:
+        """What a run lacked that ended at its limit though own rollouts succeeded; "" for others.
+
+        A lower promise that would have ended it sooner is named, if there is one.
+        """
+        succeeded = sum(trial.own_success for trial in trials)
+        if not succeeded or self.reason(trials) != LIMIT:
+            return ""
+        done = f"the own rollout succeeded in {succeeded} of {len(trials)} trials, but"
+        confirmed = [n for n in range(1, len(trials) + 1) if self._confirmed(trials[:n])]
+        if self.promise is None or not confirmed:
+            return f"{done} confirmations={self.confirmations} asks for that many in a row"
+        best = max(trials[n - 1].promised_success_rate or 0.0 for n in confirmed)
+        lacking = (
+            f"{done} the model promises success from {best:.1%} of the starts at most, where "
+            f"promise={self.promise.rate:g} asks {self.promise.aim:.1%}; more trials may reach that"
+        )
+        rate = math.floor(100 * (2 * best - 1) - 1e-9) / 100  # rounded down
+        if rate <= 0:
+            return lacking
+        sooner = replace(self, trials=len(trials) + 1, promise=replace(self.promise, rate=rate))
+        ended = next(n for n in confirmed if sooner.reason(trials[:n]))
+        return f"{lacking}, and promise={rate:g} would have ended the run at trial {ended}"
+
+    def _confirmed(self, trials: Sequence[Trial]) -> bool:
+        last = trials[-self.confirmations :]
+        return len(last) == self.confirmations and all(trial.own_success for trial in last)

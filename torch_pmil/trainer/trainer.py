@@ -46,9 +46,9 @@ class PMILTrainer(Trainer):
 
     A batch is a rollout. The first ones are the robot's exploration. After the last of them, and
     after each later one, the model is fitted to all experience, the policy is searched on it, and
-    the policy may be measured from fresh starts, which is no experience and decides nothing. The
-    next batch is that policy's rollout on the robot. Training ends as :class:`Ending` says;
-    :meth:`best_policy` then chooses among the policies that ran.
+    the policy may be measured from fresh starts, which is no experience and decides only which
+    policy is best. The next batch is that policy's rollout on the robot. Training ends as
+    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran.
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by ``register_op`` runs at TorchRL's places of the loop.

@@ -43,8 +43,8 @@ CAPTIONS = {  # in the order of the page
         "each search reached. A cross is a policy that the model could not predict, and the star "
         "is the saved policy, measured again. The rate rises once the objective is low over the "
         "whole horizon. A dip, as from 100 % to 0 % and back, is one trial whose search ended in "
-        "another optimum or was misled by a wrong model. The saved policy is the best that ran, "
-        "so a dip costs it nothing.",
+        "another optimum or was misled by a wrong model. The saved policy is the best that ran "
+        "by what was measured and promised, so a dip costs it nothing.",
     ),
     "kl_per_step": Caption(
         "Where the KL comes from",

@@ -102,6 +102,10 @@ def _trials(summary: Mapping) -> Table:
         text = "Success is judged by the robot's own rollouts alone."
     if "predicted_success_rate" in fields:
         text += " The predicted rate is that of trajectories drawn from the trial's model."
+    if "promised_success_rate" in fields:
+        text += " The promised rate is its lower bound once the model knows the own rollout"
+        rate = summary.get("settings", {}).get("promise")
+        text += f"; promise={rate:g} asks {(1 + rate) / 2:.1%}." if rate else "."
     text += " A search usually does all its iterations; that is not a failure."
     return Table("Trials", [columns[field][0] for field in fields], rows, text)
 
@@ -118,6 +122,7 @@ def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
         "loss": (with_unit("objective", summary.get("units", {}).get("objective")), say),
         "tracking_error": ("tracking error (rad)", say),
         "predicted_success_rate": ("predicted success", percent),
+        "promised_success_rate": ("promised success", "{:.1%}".format),
         "success_rate": ("success rate", percent),
         "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
         "own_error": own_error,

@@ -29,6 +29,8 @@ def headline(summary: dict) -> tuple[str, str]:
     least = summary.get("promised_success_rate")
     if least is not None:
         succeeded += f" The model predicts success from {100 * least:.1f} % of the starts at least."
+    if "unmet" in summary:
+        succeeded += f" It did not end before its limit of trials: {summary['unmet']}."
     if rate >= LEARNED:
         return "good", f"It learned: {succeeded}"
     if rate > 0:

@@ -1,0 +1,70 @@
+"""Why a run whose own rollouts succeed reaches its limit of trials all the same."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from torch import Tensor
+
+from torch_pmil.search.promise import Promise
+from torch_pmil.trainer.ending import LIMIT, Ending
+
+
+def error(states: Tensor) -> Tensor:
+    return states[..., 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("confirmations", "rate", "promised", "unmet"),
+    [
+        (1, 0.95, (None, None), ""),
+        (1, 0.95, (None, 0.99), ""),
+        (
+            1,
+            0.95,
+            (0.93, None, 0.957, 0.96, 0.94),
+            "the own rollout succeeded in 4 of 5 trials, but the model promises success from 96.0% "
+            "of the starts at most, where promise=0.95 asks 97.5%; more trials may reach that, and "
+            "promise=0.91 would have ended the run at trial 3",
+        ),
+        (
+            1,
+            0.8,
+            (0.4,),
+            "the own rollout succeeded in 1 of 1 trials, but the model promises success from 40.0% "
+            "of the starts at most, where promise=0.8 asks 90.0%; more trials may reach that",
+        ),
+        (
+            2,
+            0.95,
+            (0.97, None, 0.6, 0.9),
+            "the own rollout succeeded in 3 of 4 trials, but the model promises success from 90.0% "
+            "of the starts at most, where promise=0.95 asks 97.5%; more trials may reach that, and "
+            "promise=0.79 would have ended the run at trial 4",
+        ),
+        (
+            3,
+            None,
+            (0.9, 0.9, None),
+            "the own rollout succeeded in 2 of 3 trials, but confirmations=3 asks for that many in "
+            "a row",
+        ),
+    ],
+)
+def test_run_says_what_it_lacked_at_its_limit(
+    confirmations: int, rate: float | None, promised: tuple[float | None, ...], unmet: str
+) -> None:
+    promise = None if rate is None else Promise(rate, error, 0.1)
+    trials = [
+        SimpleNamespace(own_success=least is not None, promised_success_rate=least)
+        for least in promised
+    ]
+    ending = Ending(len(trials), confirmations, promise)
+    assert ending.unmet(trials) == unmet
+    assert not unmet or ending.reason(trials) == LIMIT
+    named = unmet.partition("and promise=")[2].partition(" would have ended the run at trial ")
+    if named[2]:
+        sooner = Ending(len(trials), confirmations, Promise(float(named[0]), error, 0.1))
+        ends = [sooner.reason(trials[: n + 1]) for n in range(int(named[2]))]
+        assert not any(ends[:-1]) and ends[-1] not in ("", LIMIT)

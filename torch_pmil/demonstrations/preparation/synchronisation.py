@@ -45,6 +45,11 @@ def synchronise(
         >>> synchronise(recordings, time_step=0.1).positions.shape
         torch.Size([2, 12, 1])
     """
+    if not 0 < time_step < math.inf:
+        raise AlignmentError(
+            "time_step must be positive and at most the duration, "
+            f"{recordings.durations[0]:g} s, got {time_step} s"
+        )
     common = common_clock(recordings.times)
     if window is None:
         in_time = reference is None and common is not None and _by_one_clock(common, time_step)

@@ -25,6 +25,7 @@ from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.model import dynamics
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs import training
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search import policy_search
 from torch_pmil.search.policy_search import SearchSettings
@@ -102,6 +103,8 @@ def run(
 def stop_in(patch: pytest.MonkeyPatch, phase: str, count: int, stop: Callable[[], None]) -> None:
     """Call ``stop`` where a phase is reached for the COUNT-th time."""
     owner, name = PHASES[phase]
+    # the motion by which a change of the robot shows is no collection
+    patch.setattr(training, "motion_of", lambda task: None)
     original, reached = getattr(owner, name), 0
 
     def stopping(*args: object, **kwargs: object) -> object:

@@ -22,6 +22,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from tests.helpers.hostile import Trap, members_of, write_members
 from tests.helpers.short_run import SEED, TRIALS, run, short_experiment, stopped_run
+from torch_pmil.runs.own_files import LIST, ForeignFileError
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.trainer.checkpoints import (
     newest_undamaged,
@@ -294,6 +295,11 @@ def test_pipe_beside_the_checkpoints_does_not_stop_a_run(folder: Path) -> None:
     """Old checkpoints are removed, for which TorchRL would open all."""
     pipe = folder / "checkpoints" / "checkpoint-999999999999.torchrl"
     os.mkfifo(pipe)
+    with pytest.raises(ForeignFileError, match=f"{pipe} is not of a run here: move it"):
+        run(folder, resume=True)
+    own_files = folder / LIST
+    content = json.loads(own_files.read_text())["files"]
+    own_files.write_text(json.dumps({"files": [*content, f"checkpoints/{pipe.name}"]}))
     with pytest.warns(RuntimeWarning, match="a pipe"):
         run(folder, resume=True)
     rotation = rotation_in(folder / "checkpoints")

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -38,7 +39,7 @@ class Experience:
         check_whole("capacity", capacity, 1)
         storage = LazyMemmapStorage(capacity, scratch_dir=folder, existsok=True)
         self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=capacity)
-        self.capacity = capacity
+        self.capacity, self._folder = capacity, folder
 
     def __len__(self) -> int:
         return len(self.buffer)
@@ -87,9 +88,14 @@ class Experience:
             "transitions": self.transitions.select(*KEYS).to_dict() if len(self) else {},
         }
 
-    def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
-        """Take over the transitions of a checkpoint, in place of all others."""
-        self.buffer.empty()
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Take over the transitions of a checkpoint, in place of all others.
+
+        There is room for as many more: they may be of another run.
+        """
+        self.capacity += state_dict["count"]
+        storage = LazyMemmapStorage(self.capacity, scratch_dir=self._folder, existsok=True)
+        self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=self.capacity)
         if state_dict["count"]:
             self.extend(TensorDict(state_dict["transitions"], batch_size=[state_dict["count"]]))
 

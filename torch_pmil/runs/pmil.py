@@ -55,7 +55,7 @@ class PMIL:
         trials: int = 12,
         seed: int = 0,
         out: Path | str | None = None,
-        resume: bool = False,
+        resume: bool | Path | str = False,
         overwrite: bool = False,
     ) -> Self:
         """Learn, print the trials and their results, and write a report with figures.
@@ -64,7 +64,8 @@ class PMIL:
             trials: largest number of trials.
             seed: of the robot's starts, its first motion and the policy; same seed, same run.
             out: folder of the run; runs/NAME/seed_SEED of the environment's name if None.
-            resume: whether to continue the run that is there.
+            resume: whether to continue the run that is there. The folder of another run begins a
+                new one with its experience and its newest policy, as for a robot that has changed.
             overwrite: whether to replace the finished run that is there.
 
         Raises:

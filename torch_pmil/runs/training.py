@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchrl.checkpoint import CheckpointRotation
 from torchrl.record.loggers import Logger
 
 from torch_pmil.checks import check_whole
@@ -36,10 +35,12 @@ from torch_pmil.runs.run_folder import (
     write_origin,
     write_settings,
 )
+from torch_pmil.runs.same_robot import motion_of, moves_alike
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import (
+    RunRotation,
     SavedRun,
     discard_newest,
     newest_undamaged,
@@ -48,6 +49,8 @@ from torch_pmil.trainer.checkpoints import (
 from torch_pmil.trainer.ending import Ending
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Trial
+
+ROBOT = "robot"  # entry of a checkpoint's metadata: how the robot moves
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def train(
     command: str,
     progress_bar: bool = True,
     on_trial: Callable[[Trial], None] = lambda trial: None,
-    resume: bool = False,
+    resume: bool | Path | str = False,
     logger: str | None = None,
     overwrite: bool = False,
     settings: Mapping[str, object] | None = None,
@@ -100,7 +103,9 @@ def train(
         command: written into the summary, so that the run can be repeated.
         progress_bar: whether to show progress.
         on_trial: called with each finished trial.
-        resume: whether to continue from the newest checkpoint in the folder, if there is one.
+        resume: whether to continue from the newest checkpoint in the folder, if there is one. The
+            folder of another run with the same settings, of this or another robot, begins a new run
+            in ``out`` with that run's experience and its newest policy.
         logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``, or None.
         overwrite: whether to replace a run that has ended.
         settings: of the command, by which ``settings.yaml`` names the task.
@@ -124,11 +129,13 @@ def train(
     out = Path(out)
     check_whole("seed", seed, *SEEDS)
     check_whole("trials", trials, 1, MOST_TRIALS)
-    check_resume(resume, overwrite)
+    check_resume(resume is True, overwrite)
     check_logger(logger)
     identity = _identity(task, seed)
     rotation = rotation_in(out / "checkpoints", identity)
     rotation.announce = lambda name: own(out, f"checkpoints/{name}")
+
+    before = None if isinstance(resume, bool) else _of_another(Path(resume), out, identity)
 
     def record(trial: Trial) -> None:
         write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
@@ -137,8 +144,8 @@ def train(
     with alone_in(out), torchrl_warnings_alone():
         check_free(out)
         remove_debris(out)
-        saved = _same_run(rotation, identity) if resume else None
-        if not resume:
+        saved = _same_run(rotation, identity) if resume is True else None
+        if resume is not True:
             clear_folder(out, overwrite)
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
         source = provenance(command)
@@ -154,6 +161,8 @@ def train(
             trainer = make_trainer(task, seed, trials, progress_bar, record, opened, rotation)
             if saved is not None:
                 trainer.resume(saved)
+            elif before is not None:
+                trainer.begin_with(before)
             rewind_logs(opened, trainer.collected_frames)
             write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
             ended = _ended(trainer)
@@ -205,22 +214,45 @@ def _identity(task: Task, seed: int) -> dict[str, object]:
         "seed": seed,
         "demonstrations": hashlib.sha256(positions).hexdigest(),
     }
-    return json.loads(json.dumps({**identity, **task.settings}))
+    return json.loads(json.dumps({**identity, **task.settings, ROBOT: motion_of(task)}))
 
 
-def _same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> SavedRun | None:
-    """The newest checkpoint, or None; raises ValueError if it is of another run."""
+def _same_run(rotation: RunRotation, identity: dict[str, object]) -> SavedRun | None:
+    """The newest checkpoint, or None; raises ValueError if it is of another run or robot."""
     saved = newest_undamaged(rotation)
     if saved is None:
         return None
+    _check_settings(saved, rotation.directory, identity)
+    recorded = saved.metadata.get(ROBOT)
+    if not moves_alike(identity[ROBOT], recorded):
+        folder = rotation.directory.parent
+        raise ValueError(
+            f"the run in {folder} is of a robot that moves otherwise under the same actions: "
+            f"another out starts a new run, and learn(out=..., resume={str(folder)!r}) one that "
+            "begins with its experience"
+        )
+    rotation.metadata = identity | {ROBOT: recorded}
+    return saved
+
+
+def _of_another(folder: Path, out: Path, identity: Mapping[str, object]) -> SavedRun:
+    """The newest checkpoint of a run that another one begins with."""
+    saved = newest_undamaged(rotation_in(folder / "checkpoints"))
+    if saved is None or folder.resolve() == out.resolve():
+        raise ValueError(f"resume must be true or the folder of another run, got {folder}")
+    alike = {key: value for key, value in identity.items() if key not in ("experiment", "seed")}
+    _check_settings(saved, folder, alike)
+    return saved
+
+
+def _check_settings(saved: SavedRun, folder: Path, identity: Mapping[str, object]) -> None:
+    """Raise ValueError if a checkpoint is of a run with other settings."""
     for name, value in identity.items():
-        if saved.metadata.get(name) != value:
+        if name != ROBOT and saved.metadata.get(name) != value:
             found = " ".join(str(saved.metadata.get(name)).split())
             raise ValueError(
-                f"the run in {rotation.directory} has {name} = {found[:200]}, got {value}: it "
-                "cannot go on so"
+                f"the run in {folder} has {name} = {found[:200]}, got {value}: it cannot go on so"
             )
-    return saved
 
 
 def make_trainer(
@@ -230,7 +262,7 @@ def make_trainer(
     progress_bar: bool,
     on_trial: Callable[[Trial], None],
     logger: Logger | None = None,
-    rotation: CheckpointRotation | None = None,
+    rotation: RunRotation | None = None,
 ) -> PMILTrainer:
     """The trainer of a task, with every source of randomness seeded."""
     method = task.method

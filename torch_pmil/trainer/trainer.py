@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -249,6 +250,22 @@ class PMILTrainer(Trainer):
         loaded = restore(components, saved, self.rotation, widths)
         self.collector.update_policy_weights_()
         return loaded.path
+
+    def begin_with(self, saved: SavedRun) -> None:
+        """Begin with the experience and the newest policy of another run, from its checkpoint.
+
+        The robot then explores, as in any run; no trial of the other run counts.
+
+        Raises CheckpointError if it does not fit.
+        """
+        components = self._sync_checkpoint_components().components
+        fresh = {name: deepcopy(part.state_dict()) for name, part in components.items()}
+        self.resume(saved)
+        self.experience.extend(self.collector._latest)  # the last one, which it had not learned
+        self.experience.load_state_dict(self.experience.state_dict())  # with room for as many more
+        for name in components.keys() - {"policy", "loss_module", "trainer_module.experience"}:
+            components[name].load_state_dict(fresh[name])
+        self.state.explored = len(self.experience)
 
     def _begin(self) -> None:
         if self.progress_bar:

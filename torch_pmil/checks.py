@@ -8,7 +8,10 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from torch_pmil.files import short
+
 LARGEST = sys.float_info.max  # of whole numbers, which Python lets grow beyond it
+LONGEST_NAME = 100  # characters
 Shape = tuple[int | str, ...]
 
 
@@ -38,6 +41,33 @@ def check_positive(name: str, value: object, zero: bool = False) -> None:
     if not number or not 0 <= value <= LARGEST or (value == 0 and not zero):  # type: ignore[operator]
         wanted = "a finite number that is not negative" if zero else "a positive finite number"
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def check_names(name: str, values: object) -> None:
+    """Raise unless a value is a sequence of different names of at most 100 printable characters.
+
+    Example:
+        >>> check_names("angles", "q1")
+        Traceback (most recent call last):
+        TypeError: angles must be a sequence of names, such as ('q1',), got the text 'q1'
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        such = f", such as ({short(values)},), got the text" if isinstance(values, str) else ", got"
+        raise TypeError(f"{name} must be a sequence of names{such} {short(values)}")
+    for each in values:
+        check_text(f"each of {name}", each)
+    if len(set(values)) < len(values):
+        raise ValueError(f"{name} must be different names, got {short(values)}")
+
+
+def check_text(name: str, value: object, empty: bool = False) -> None:
+    """Raise ValueError unless a value is one line of text of at most 100 printable characters."""
+    fits = isinstance(value, str) and value == value.strip() and value.isprintable()
+    if not fits or not (empty or value) or len(value) > LONGEST_NAME:  # type: ignore[arg-type]
+        raise ValueError(
+            f"{name} must be text of {0 if empty else 1} to {LONGEST_NAME} printable characters, "
+            f"without spaces around it, got {short(value)}"
+        )
 
 
 def check_tensor(name: str, values: object, shape: Shape, finite: bool = True) -> None:

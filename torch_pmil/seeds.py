@@ -18,6 +18,7 @@ class Stream(IntEnum):
     MEASURED_STARTS = 2_000_000  # of the measurement in each trial
     RESETS = 3_000_000  # by which the start of one's own robot is estimated
     EVALUATED_STARTS = 4_000_000  # of the evaluation after a run
+    REHEARSAL = 5_000_000  # by which one's own robot is tried before its first motion
 
 
 def generator_of(stream: Stream, seed: int) -> torch.Generator:

@@ -159,7 +159,7 @@ class Settings:
             >>> task.noise_std, task.method.search.final_iterations
             (0.1, 60)
         """
-        known = [*self.adjustable, *self._groups()]
+        known = [*self.adjustable, *self.groups()]
         for name in changes:
             if name not in known:
                 owner = getattr(self, "name", type(self).__name__)
@@ -185,10 +185,10 @@ class Settings:
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}  # type: ignore[arg-type]
         return {name: value for name, value in values.items() if isinstance(value, Settings)}
 
-    def _groups(self) -> list[str]:
+    def groups(self) -> list[str]:
         """Names of all groups, those within groups too."""
         own = self._own_groups()
-        return [*own, *(name for group in own.values() for name in group._groups())]
+        return [*own, *(name for group in own.values() for name in group.groups())]
 
 
 def _kind(annotation: object) -> str:

@@ -78,6 +78,24 @@ def test_the_policy_is_a_function_is_saved_and_is_measured_once_it_is_learned(
     torch.testing.assert_close(learner.policy.policy.weights, weights, atol=0, rtol=0)
 
 
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ({"resume": "maybe"}, "resume must be True or False, got 'maybe'"),
+        ({"overwrite": 1}, "overwrite must be True or False, got 1"),
+        ({"seed": -1}, "seed must be a whole number from 0 to"),
+        ({"trials": "3"}, "trials must be a whole number of at least 1, got '3'"),
+        ({"out": 3}, "out must be the path of a folder, or None, got 3"),
+    ],
+)
+def test_wrong_arguments_of_a_run_leave_no_folder(
+    learner: PMIL, argument: dict[str, object], message: str
+) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        learner.learn(**argument)
+    assert not Path("runs").exists()
+
+
 def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
     learner: PMIL, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -27,9 +28,9 @@ START = 0.05  # largest absolute value of the first angle
 class Arm(EnvBase):
     """One joint that follows its action; it shows angle and velocity, or cosine, sine, velocity."""
 
-    def __init__(self, circle: bool = False) -> None:
+    def __init__(self, circle: bool = False, period: float = 0.1) -> None:
         super().__init__()
-        self.circle = circle
+        self.circle, self.period = circle, period
         self.observation_spec = Composite(joint=Unbounded((3 if circle else 2,)))
         self.action_spec = Bounded(-4.0, 2.0, (1,))
         self.reward_spec = Unbounded((1,))
@@ -50,7 +51,7 @@ class Arm(EnvBase):
     def _step(self, tensordict: object) -> object:
         q, _ = self.state
         dq = tensordict["action"][0]
-        self.state = torch.stack([q + 0.1 * dq, dq])
+        self.state = torch.stack([q + self.period * dq, dq])
         end = {"reward": torch.zeros(1), "done": torch.zeros(1, dtype=torch.bool)}
         return TensorDict({"joint": self._shown(), **end})
 
@@ -202,7 +203,27 @@ def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_pa
         ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
         ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
         ({"tolerance": -1.0}, ValueError, "tolerance must"),
-        ({"nose_std": 0.1}, ValueError, "a setting of Arm must be one of .*, got nose_std$"),
+        ({"nose_std": 0.1}, ValueError, "known ones, got 'nose_std': did you mean noise_std?"),
+        ({"past_action": 1}, ValueError, "got 'past_action': did you mean past_actions?"),
+        ({"space": 1}, ValueError, "settings must be known ones, got 'space'"),
+        ({"state": "xd"}, TypeError, r"such as \('xd',\), got the text 'xd'"),
+        ({"state": ("q", "")}, ValueError, "each of state must be text of 1 to 100 printable"),
+        ({"state": ("q", "x" * 10**6)}, ValueError, "each of state must be text of 1 to 100"),
+        ({"state": ("q", "q")}, ValueError, "state must be different names, got"),
+        ({"angles": "q"}, TypeError, r"angles must be .*, such as \('q',\), got the text 'q'"),
+        ({"units": "rad"}, TypeError, "units must be a sequence, one for each entry, got 'rad'"),
+        ({"match": 3}, TypeError, "match must be a MatchSpace or the name of a site, got int"),
+        ({"control_period": "0.1"}, TypeError, "must be a number, in seconds, got '0.1'"),
+        ({"control_period": True}, TypeError, "control_period must be a number, .* got True"),
+        ({"control_period": math.nan}, ValueError, "must be positive and finite, .* got nan"),
+        ({"name": "../../up"}, ValueError, "that of a folder within the runs, got '../../up'"),
+        ({"name": ""}, ValueError, "name must be text of 1 to 100 printable characters"),
+        ({"error": None}, TypeError, "error must be a function, got NoneType"),
+        ({"initial": 3}, TypeError, "initial must be of type Gaussian, got int"),
+        ({"past_actions": 1000}, ValueError, "past_actions must be a whole number from 0 to 20"),
+        ({"positions_only": "no"}, TypeError, "positions_only must be True or False, got 'no'"),
+        ({"steps_per_action": 0}, ValueError, "steps_per_action must be a whole number of at"),
+        ({"explore_demonstrated": True}, ValueError, "needs holding_actions, a function from"),
         ({"control_period": 0.0}, ValueError, "control_period must be positive"),
         ({"match": "tip"}, TypeError, "match by a site needs a MujocoRobot, got Arm"),
         (
@@ -220,7 +241,20 @@ def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_pa
 def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -> None:
     with pytest.raises(kind, match=message) as raised:
         task(**change)
-    assert "\n" not in str(raised.value)
+    assert "\n" not in str(raised.value) and len(str(raised.value)) < 400
+
+
+@pytest.mark.parametrize("period", [np.float32(0.5), np.float64(0.5), torch.tensor(0.5), 0.5])
+def test_control_period_may_be_any_real_number(period: object) -> None:
+    shown = Demonstrations(reaches().positions, 0.5, ("q",))
+    made = own_robot(Arm(period=0.5), shown, period, state=("q", "dq"))
+    assert made.robot(0).control_period == 0.5
+
+
+def test_servo_of_ones_own_explores_what_is_demonstrated() -> None:
+    made = task(explore_demonstrated=True, holding_actions=lambda states: states[:, :1])
+    mean = made.demonstrated_states.unflatten(0, (5, -1)).mean(0)
+    assert torch.equal(made.exploration.around, mean[1:, :1])
 
 
 def test_another_match_space_is_taken() -> None:

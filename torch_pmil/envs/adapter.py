@@ -18,6 +18,8 @@ from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Continued
 from torch_pmil.seeds import SEEDS
 
+CIRCLE = 2.0  # radius, or its inverse, beyond which noise explains no cosine and sine
+
 
 @dataclass(frozen=True)
 class CosSin:
@@ -62,7 +64,8 @@ class AdaptedEnv(RobotEnv):
     Raises:
         TypeError: ``make_env`` does not make an environment.
         ValueError: the environment lacks the observation or action, or a setting is out of range.
-        RuntimeError: in a step, if an observation is not finite.
+        RuntimeError: in a step, if an observation is not finite, or has no cosine and sine where
+            ``angles`` says so.
 
     Example:
         >>> from functools import partial
@@ -163,6 +166,12 @@ class AdaptedEnv(RobotEnv):
         if not self.angles:
             return shown
         cosines, sines = [angle.cos for angle in self.angles], [angle.sin for angle in self.angles]
+        radius = torch.hypot(shown[..., sines], shown[..., cosines])
+        if not ((radius > 1 / CIRCLE) & (radius < CIRCLE)).all():
+            raise RuntimeError(
+                f"entries {cosines} and {sines} of the observation must be cosines and sines, got "
+                f"{shown[..., cosines].tolist()} and {shown[..., sines].tolist()}"
+            )
         change = torch.atan2(shown[..., sines], shown[..., cosines]) - self._turned
         self._turned = self._turned + torch.atan2(change.sin(), change.cos())
         state = shown.clone()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
+from torch_pmil.checks import check_whole
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
+from torch_pmil.envs.layers import resetting_layer
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Turning
 
@@ -28,17 +31,20 @@ class OneRobot:
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
-        control_period: seconds between two actions. Each action is held for several steps if that
-            is longer than the ``dt`` of a gymnasium environment.
+        control_period: seconds between two actions.
         angles: angles that the observation holds as cosine and sine.
+        steps_per_action: steps of the environment for which an action is held. If None, these are
+            the steps of ``dt`` that a control period of a gymnasium environment has; of an
+            environment of TorchRL it is one.
 
     ``name`` is that of the environment; ``draws`` is True if it gives pictures, ``physical`` if it
     is a physical robot.
 
     Raises:
         TypeError: ``env`` is not an environment.
-        ValueError: the control period is not a whole number of the environment's steps. Or a
-            physical robot has another one, shows cosine and sine, or is asked for several times.
+        ValueError: the control period is not a whole number of the environment's steps, or their
+            length is unknown. The environment resets itself. A robot of this package has another
+            period. Or a physical robot shows cosine and sine, or is asked for several times.
         ModuleNotFoundError: gymnasium is not installed.
 
     Example:
@@ -48,29 +54,46 @@ class OneRobot:
         torch.Size([3, 5, 4])
     """
 
-    def __init__(self, env: Any, control_period: float, angles: Sequence[CosSin] = ()) -> None:
+    def __init__(
+        self,
+        env: Any,
+        control_period: float,
+        angles: Sequence[CosSin] = (),
+        steps_per_action: int | None = None,
+    ) -> None:
+        if steps_per_action is not None:
+            check_whole("steps_per_action", steps_per_action, 1)
         if isinstance(env, str):
             check_gymnasium()
             env = gymnasium.make(env, render_mode="rgb_array")
         self.control_period, self.angles = control_period, tuple(angles)
         self.turning_entries: tuple[Turning, ...] = ()  # of angles that are shown as they are
         self.physical = isinstance(env, RobotEnv) and env.physical
-        if self.physical:
-            _check_physical(env, self.control_period, self.angles)
+        if isinstance(env, RobotEnv):
+            _check_period(env, self.control_period, steps_per_action)
+        if self.physical and self.angles:
+            raise ValueError("a physical robot must show its angles, got cosine and sine of them")
+        steps = steps_per_action or 1
         if isinstance(env, EnvBase):
             self.env, self.name = env, type(env).__name__
             self.draws = "pixels" in env.observation_spec
         elif gymnasium is not None and isinstance(env, gymnasium.Env):
-            self.env, steps = GymWrapper(env), _steps_of(env, control_period)
-            if steps > 1:
-                self.env = TransformedEnv(self.env, FrameSkipTransform(steps))
+            steps = steps_per_action or _steps_of(env, control_period)
+            self.env = GymWrapper(env)
             self.name = env.spec.id if env.spec else type(env.unwrapped).__name__
             self.draws = env.render_mode == "rgb_array"
         else:
+            got = f"the class {env.__name__}" if isinstance(env, type) else type(env).__name__
             raise TypeError(
                 "env must be an environment of TorchRL or gymnasium, or the name of one of "
-                f"gymnasium, got {type(env).__name__}"
+                f"gymnasium, got {got}"
             )
+        if layer := resetting_layer(self.env):
+            raise ValueError(
+                f"env must not reset itself within a motion, got one with {layer}: remove it"
+            )
+        if steps > 1:
+            self.env = TransformedEnv(self.env, FrameSkipTransform(steps))
 
     def __call__(
         self, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
@@ -113,22 +136,30 @@ class OneRobot:
         return vectors[0] if len(vectors) == 1 else "observation"
 
 
-def _check_physical(env: RobotEnv, control_period: float, angles: Sequence[CosSin]) -> None:
-    """Raise ValueError unless a physical robot can be used as it is."""
-    if env.control_period != control_period:
+def length_of_step(env: gymnasium.Env) -> float | None:
+    """Seconds that a step of a gymnasium environment lasts, its ``dt``; None if it has none."""
+    step: Any = getattr(env.unwrapped, "dt", None)
+    number = isinstance(step, Real | np.number) and not isinstance(step, bool)
+    return float(step) if number and 0 < step < math.inf else None
+
+
+def _check_period(env: RobotEnv, control_period: float, steps: int | None) -> None:
+    """Raise ValueError unless a robot of this package is used at its own control period."""
+    if env.control_period != control_period or steps not in (None, 1):
         raise ValueError(
             f"control_period must be that of the robot, {env.control_period:g} s, got "
-            f"{control_period:g} s"
+            f"{control_period:g} s{f' and {steps} steps_per_action' if steps else ''}"
         )
-    if angles:
-        raise ValueError("a physical robot must show its angles, got cosine and sine of them")
 
 
 def _steps_of(env: gymnasium.Env, control_period: float) -> int:
-    """Number of the environment's steps in a control period; 1 if its step is unknown."""
-    step = getattr(env.unwrapped, "dt", None)
-    if not isinstance(step, float):
-        return 1
+    """Number of the environment's steps in a control period."""
+    step = length_of_step(env)
+    if step is None:
+        raise ValueError(
+            f"steps_per_action must be given, since {type(env.unwrapped).__name__} has no dt: the "
+            f"number of its steps in {control_period:g} s, got none"
+        )
     ratio = control_period / step
     if ratio < 1 - WHOLE or not math.isclose(ratio, round(ratio), rel_tol=WHOLE):
         raise ValueError(

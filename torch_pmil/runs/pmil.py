@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
+from torch_pmil.checks import check_whole
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.files import short
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.pictures import tell_all
 from torch_pmil.runs.printing import print_trial, warn_incomplete, warn_of
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.training import RunResult, train
-from torch_pmil.seeds import Stream
+from torch_pmil.seeds import SEEDS, Stream
 from torch_pmil.tasks.own_robot import Recorded, own_robot
 from torch_pmil.tasks.task import MEASURED_STARTS
 from torch_pmil.trainer.trials import success_rate
@@ -72,8 +75,16 @@ class PMIL:
             RunStopped, RobotError: the operator ended the run, or the robot cannot be reached;
                 ``learn(resume=True)`` continues.
             OSError: the folder cannot be written to.
-            ValueError: a setting is out of range, or the folder holds another run.
+            TypeError, ValueError: an argument is of another kind or out of range, or the folder
+                holds another run.
         """
+        for name, value in (("resume", resume), ("overwrite", overwrite)):
+            if not isinstance(value, bool):
+                raise TypeError(f"{name} must be True or False, got {short(value)}")
+        check_whole("trials", trials, 1)
+        check_whole("seed", seed, *SEEDS)
+        if not (out is None or isinstance(out, str | os.PathLike)) or out == "":
+            raise TypeError(f"out must be the path of a folder, or None, got {short(out)}")
         out = Path("runs", self.task.name, f"seed_{seed}") if out is None else Path(out)
         warn_of("", check(self.task))
         result = train(
@@ -114,6 +125,8 @@ class PMIL:
         The operator of a physical robot is asked before each rollout; one that is cut short is a
         failure.
         """
+        check_whole("starts", starts, 1)
+        check_whole("seed", seed, *SEEDS)
         errors = self.task.errors(self.policy, starts, seed)
         return success_rate(errors, self.task.tolerance)
 

@@ -32,6 +32,8 @@ from torch_pmil.seeds import Stream
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.own_robot_checks import check_said, seconds
+from torch_pmil.tasks.rehearsal import rehearse
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
@@ -63,6 +65,7 @@ def own_robot(
     past_entries: int = 0,
     past_actions: int = 0,
     positions_only: bool = False,
+    steps_per_action: int | None = None,
     **settings: Any,
 ) -> Task:
     """The task of one's own robot and recordings.
@@ -100,6 +103,8 @@ def own_robot(
             demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
             :func:`~torch_pmil.tasks.with_history.with_history`.
+        steps_per_action: steps of the environment for which an action is held, see
+            :class:`~torch_pmil.envs.one_robot.OneRobot`.
         settings: fields of :class:`Task` and settings of its method
             (:class:`~torch_pmil.tasks.method.Method`), by name, in place of the defaults.
 
@@ -118,6 +123,9 @@ def own_robot(
         >>> task.space.feature_names
         ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
     """
+    said = {"state": state, "units": units, "angles": angles, "match": match}
+    check_said(own_robot, **said, **settings)
+    control_period = seconds(control_period)
     if isinstance(env, MujocoRobot):
         state, units, angles = state or env.names, units or env.units, angles or env.turning
         settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
@@ -129,7 +137,7 @@ def own_robot(
         match = site_match(env, match, orientation=len(recorded.names) > PLACE)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
-    robot = _robot(env, control_period, observed)
+    robot = _robot(env, control_period, observed, steps_per_action)
     if robot.dim != len(space.names):
         raise ValueError(
             f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
@@ -176,6 +184,8 @@ def own_robot(
     if task.promised is None:
         chosen = {"confirmations": CONFIRMATIONS, **chosen}
     task = task.with_settings(**chosen)
+    if task.evaluated and not robot.physical:
+        rehearse(task, robot)
     if not (past_entries or past_actions or positions_only):
         return task
     return with_history(
@@ -192,10 +202,10 @@ def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tens
     return (apart / demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
-def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
+def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int | None) -> Robot:
     if not isinstance(env, MujocoRobot):
-        return OneRobot(env, control_period, _pairs(observed))
-    if env.control_period != control_period:
+        return OneRobot(env, control_period, _pairs(observed), steps)
+    if env.control_period != control_period or steps not in (None, 1):
         raise ValueError(
             f"control_period must be that of the robot, {env.control_period:g} s, got "
             f"{control_period:g} s"

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.checks import check_noise, check_tensor
+from torch_pmil.checks import check_noise, check_tensor, check_text
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
@@ -24,6 +24,7 @@ from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.history import History
 from torch_pmil.envs.rollouts import OfStates, as_executed
+from torch_pmil.files import short
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
@@ -331,6 +332,11 @@ class Task(Settings):
 def check_task(task: Task) -> None:
     """Raise TypeError or ValueError unless the parts of a task fit each other."""
     D, method, settings = task.space.dim, task.method, task.method.policy
+    _check_folder_name(task.name)
+    for name in ("error", "predicted_error", "holding_actions", "sketch"):
+        function = getattr(task, name)
+        if not callable(function) and (function is not None or name == "error"):
+            raise TypeError(f"{name} must be a function, got {type(function).__name__}")
     if outside := task.state_box and task.state_box.guard(task.initial.mean):
         raise ValueError(f"box must hold the mean of initial, but {outside}")
     check_noise(task.noise_std, task.space.match_space.names)
@@ -377,11 +383,23 @@ def _check_movements(movements: PDMovements, dim: int) -> None:
 
 def _check_demonstrated_way(task: Task) -> None:
     """Raise ValueError unless it is known what holds the robot along the demonstrations."""
-    states, held = len(task.demonstrated_states), task.holding_actions is not None
     count, samples = task.demonstrations.positions.shape[:2]
-    if not held or states != count * samples:
+    if task.holding_actions is None:
         raise ValueError(
-            "explore_demonstrated needs holding_actions, and demonstrated_states of all "
-            f"{count} times {samples} samples, got {states} states"
-            f"{'' if held else ' and no holding_actions'}"
+            "explore_demonstrated needs holding_actions, a function from states (S, D) to the "
+            "actions (S, F) that hold the robot there, got none; if an action is the target of the "
+            "first entry of the state: holding_actions=lambda states: states[:, :1]"
         )
+    if (states := len(task.demonstrated_states)) != count * samples:
+        raise ValueError(
+            f"explore_demonstrated needs demonstrated_states of all {count} times {samples} "
+            f"samples, got {states}"
+        )
+
+
+def _check_folder_name(name: object) -> None:
+    """Raise ValueError unless a name is that of a folder within another."""
+    check_text("name", name)
+    parts = str(name).split("/")
+    if "\\" in str(name) or {"", ".", ".."} & set(parts):
+        raise ValueError(f"name must be that of a folder within the runs, got {short(name)}")

@@ -13,11 +13,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torch_pmil.checks import check_whole
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.rollouts import OfStates
+from torch_pmil.files import short
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.task import Task
 
@@ -55,6 +57,10 @@ def with_history(
     if task.history is not None:
         raise ValueError(f"{task.name} has a history already")
     names, velocities = task.space.names, rates_of(task.space.names)
+    for name, past in (("past_entries", past_entries), ("past_actions", past_actions)):
+        check_whole(name, past, 0, task.horizon)  # no motion has more
+    if not isinstance(positions_only, bool):
+        raise TypeError(f"positions_only must be True or False, got {short(positions_only)}")
     if positions_only and not velocities:
         raise ValueError(
             "positions_only needs entries of the state that are velocities of others, dNAME beside "

@@ -1,0 +1,100 @@
+"""Checks of what is said of one's own robot, before anything is read or moved."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from torch_pmil.checks import check_names, check_text
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.state_space import MatchSpace
+from torch_pmil.files import short
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.settings import Settings
+from torch_pmil.tasks.method import Method
+from torch_pmil.tasks.task import Task
+
+FIXED = {"make_env", "space", "demonstrations", "history"}  # fields that follow from the arguments
+KINDS: dict[str, type] = {
+    "initial": Gaussian,
+    "actions": ActionSpace,
+    "method": Settings,
+    "box": Mapping,
+    "demonstrated_states": Tensor,
+    "held_states": Tensor,
+    "plane": Tensor,
+}
+
+
+def check_said(
+    function: Callable[..., Any],
+    *,
+    state: object,
+    units: object,
+    angles: object,
+    match: object,
+    **settings: object,
+) -> None:
+    """Check the arguments of :func:`~torch_pmil.tasks.own_robot.own_robot`, which is ``function``.
+
+    Raises:
+        TypeError, ValueError: one is of another kind, or a setting is unknown.
+    """
+    check_names("state", state)
+    check_names("angles", angles)
+    if isinstance(units, str) or not isinstance(units, Collection):
+        raise TypeError(f"units must be a sequence, one for each entry, got {short(units)}")
+    for unit in units:
+        check_text("each of units", unit, empty=True)
+    if not (match is None or isinstance(match, MatchSpace | str)):
+        raise TypeError(
+            f"match must be a MatchSpace or the name of a site, got {type(match).__name__}"
+        )
+    _check_known(function, settings)
+    for name, kind in KINDS.items():
+        if settings.get(name) is not None and not isinstance(settings[name], kind):
+            got = type(settings[name]).__name__
+            raise TypeError(f"{name} must be of type {kind.__name__}, got {got}")
+
+
+def seconds(value: object) -> float:
+    """A control period as a float.
+
+    Raises:
+        TypeError: it is not a number.
+        ValueError: it is not positive and finite.
+
+    Example:
+        >>> seconds(np.float32(0.5))
+        0.5
+    """
+    if isinstance(value, np.ndarray | Tensor) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"control_period must be a number, in seconds, got {short(value)}")
+    period = float(value)
+    if not 0 < period < math.inf:
+        raise ValueError(f"control_period must be positive and finite, in seconds, got {period}")
+    return period
+
+
+def _check_known(function: Callable[..., Any], settings: Mapping[str, object]) -> None:
+    """Raise ValueError unless all names are fields of a task or settings of its method."""
+    method = settings.get("method")
+    chosen = method if isinstance(method, Settings) else Method()
+    of_task = {entry.name for entry in fields(Task)} - FIXED
+    known = {*of_task, *chosen.adjustable, *chosen.groups()}
+    own = [name for name in inspect.signature(function).parameters if name != "settings"]
+    for name in settings:
+        if name not in known:
+            near = get_close_matches(name, [*own, *sorted(known)], 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(own)}, and more"
+            raise ValueError(f"settings must be known ones, got {short(name)}: {hint}")

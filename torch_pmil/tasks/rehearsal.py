@@ -1,0 +1,174 @@
+"""A simulated robot is tried before the first motion: does it repeat itself, and fit its names?"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.recovered_states import rates_of
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.envs.layers import counted, unrepeatable_layer, wrappers_of
+from torch_pmil.envs.one_robot import OneRobot, length_of_step
+from torch_pmil.seeds import Stream
+from torch_pmil.tasks.task import Task
+
+STEPS, WINDOW = 50, 5  # of a try, and over which changes are compared
+REACH = 0.4  # of the actions, in halves of their range
+ALIKE = 1e-6  # difference of two tries that are the same, in the largest value of an entry
+TRIES, SHORT = 40, 10  # of a robot that does not repeat itself, and steps of each
+DRIFTING = 0.35  # ratio of von Neumann; 1 on average for independent noise, with deviation 0.16
+FITS = 0.5  # relative difference of a position's changes from its velocity's sums
+EXPLAINS = 0.3  # the same if the velocity is scaled
+CLEAR = 5.0  # change of a position in standard deviations of its noise
+
+
+def rehearse(task: Task, robot: object) -> None:
+    """Try a simulated robot with slow actions, twice from the same seed. This is no experience.
+
+    Raises:
+        ValueError: the robot resets itself, changes from reset to reset, holds each action for
+            another time than the control period, or an entry dNAME is another one than the velocity
+            of NAME.
+    """
+    actions = _slow_actions(task)
+    if isinstance(robot, OneRobot):
+        with counted(robot.env) as calls:
+            states = _tried(task, actions, calls.clear)
+        _check_steps(robot, calls["step"] / STEPS, calls["reset"])
+    else:
+        states = _tried(task, actions)
+    again = _tried(task, actions)
+    scale = states.abs().amax(0).clamp(min=ALIKE)
+    apart = ((again - states) / scale).abs()
+    if (apart > ALIKE).any():
+        _check_drift(task, robot, actions[:SHORT])
+    check_velocities(states, task.space, task.demonstrations.time_step)
+
+
+def check_velocities(states: Tensor, space: StateSpace, period: float) -> None:
+    """Compare velocities dNAME with the changes of NAME along states (T + 1, D).
+
+    Raises:
+        ValueError: another reading of the names or of their units explains the changes.
+    """
+    names, change = space.names, states.diff(dim=0)
+    sums, rates = period * (states[:-1] + states[1:]) / 2, rates_of(space.names)
+    for rate, position in rates.items():
+        if position in space.angles:  # which may have been continued by a wrong velocity
+            apart = _within_half_a_turn(change[:, position] - sums[:, rate])
+            right = apart.square().mean() < 1
+            turned = sums[:, rate] + apart if right else _within_half_a_turn(change[:, position])
+            change[:, position] = turned
+    noise = change.diff(dim=0).square().mean(0).sqrt() / math.sqrt(6)  # at most
+    moved, summed = _windows(change), _windows(sums)
+    rms = moved.square().mean(0).sqrt()
+
+    def differ(position: int, rate: int, factor: float | Tensor = 1.0) -> float:
+        apart = moved[:, position] - factor * summed[:, rate]
+        return float(apart.square().mean().sqrt() / rms[position])
+
+    for rate, position in rates.items():
+        own = differ(position, rate)
+        if rms[position] <= CLEAR * noise[position] or own < FITS:
+            continue
+        expected = f"{names[rate]} must be the velocity of {names[position]}"
+        better = min(FITS, own / 2)
+        if rms[rate] > 0 and differ(rate, position) < better:
+            raise ValueError(f"{expected}, got the reverse: swap the two names in state")
+        others = [k for k in range(len(names)) if k not in (rate, position)]
+        best = min(others, key=partial(differ, position), default=rate)
+        if differ(position, best) < better:
+            raise ValueError(
+                f"{expected}, got another entry: {names[position]} moves at the rate of "
+                f"{names[best]}; state must name the entries in the order of the observation"
+            )
+        factor = (moved[:, position] @ summed[:, rate]) / summed[:, rate].square().sum()
+        if factor != 0 and differ(position, rate, factor) < EXPLAINS:
+            raise ValueError(
+                f"{expected}, got {1 / factor:.3g} times that: check the sign, the units and "
+                f"control_period ({period:g} s)"
+            )
+        if (states[:, rate].diff().square().mean() > states[:, rate].square().mean()).item():
+            continue  # too fast for the control period to judge
+        warnings.warn(
+            f"{expected}, got an entry that does not move it so: if it is another quantity, "
+            "name it otherwise",
+            RuntimeWarning,
+            stacklevel=5,
+        )
+
+
+def _within_half_a_turn(angle: Tensor) -> Tensor:
+    return torch.atan2(angle.sin(), angle.cos())
+
+
+def _windows(steps: Tensor) -> Tensor:
+    """Sums of consecutive steps."""
+    return steps.unfold(0, WINDOW, 1).sum(-1)
+
+
+def _slow_actions(task: Task) -> Tensor:
+    """Actions (STEPS, F) of one or two slow waves, a different one for each action."""
+    space, count = task.actions, len(task.actions.names)
+    around = space.middle
+    if task.holding_actions is not None:
+        around = task.holding_actions(task.initial.mean[None])[0]
+    cycles = 1 + torch.arange(count, dtype=torch.float64) / count
+    phases = 2 * math.pi * cycles * torch.arange(1, STEPS + 1)[:, None] / STEPS
+    return (around + REACH * space.half_range * phases.sin()).clamp(space.low, space.high)
+
+
+def _tried(task: Task, actions: Tensor, begun: Callable[[], None] = lambda: None) -> Tensor:
+    """States (T + 1, D) from a reset by always the same seed."""
+    env = task.robot(Stream.REHEARSAL)
+    step = env.reset()
+    begun()
+    states = [step["observation"]]
+    for action in actions:
+        step = env.step(step.set("action", action))["next"]
+        states.append(step["observation"])
+    return torch.stack(states)
+
+
+def _check_steps(robot: OneRobot, steps: float, resets: int) -> None:
+    """Check how many steps of gymnasium's environment an action took."""
+    if resets:
+        raise ValueError(
+            f"env must not reset itself within a motion, got {robot.name}, which was reset "
+            f"{resets} times in {STEPS} actions: remove what resets it"
+        )
+    layers = wrappers_of(robot.env)
+    length = length_of_step(layers[0]) if layers else None
+    if length is not None and not math.isclose(steps * length, robot.control_period, rel_tol=1e-6):
+        raise ValueError(
+            f"each action must last control_period = {robot.control_period:g} s, got {steps:g} "
+            f"steps of {length:g} s of {type(layers[0]).__name__}: give another control_period "
+            "or steps_per_action"
+        )
+
+
+def _check_drift(task: Task, robot: object, actions: Tensor) -> None:
+    """Raise if a robot changes from try to try, or warn if it is noisy without a seed."""
+    layer = unrepeatable_layer(robot.env) if isinstance(robot, OneRobot) else task.name
+    last = torch.stack([_tried(task, actions)[-1] for _ in range(TRIES)])
+    changing = last.std(0) > ALIKE * last.abs().amax(0)
+    steps = last.diff(dim=0).square().mean(0)[changing]
+    ratios = steps / (2 * last.var(0)[changing])
+    if (ratios < DRIFTING).any():
+        entry = task.space.names[int(changing.nonzero()[ratios.argmin()])]
+        shown = last[:, task.space.names.index(entry)]
+        raise ValueError(
+            f"env must do the same after each reset by one seed, got {entry} = {shown[0]:.3g}, and "
+            f"{shown[-1]:.3g} after {TRIES} resets: {layer} remembers what was before; do without"
+        )
+    warnings.warn(
+        f"{layer} draws random numbers that no seed determines: a run cannot be repeated. Draw "
+        "them from the generator that reset(seed) seeds",
+        RuntimeWarning,
+        stacklevel=5,
+    )

@@ -69,8 +69,10 @@ class LeRobotArm:
         """Positions (F,) and ``time.monotonic`` before they were asked for."""
         stamp = time.monotonic()
         with self._bus:
-            self._last = self._vector(self._robot.get_observation())
-        return self._last, stamp
+            positions = self._vector(self._robot.get_observation())
+        if positions.isfinite().all():
+            self._last = positions
+        return positions, stamp
 
     def send(self, action: Numbers) -> Tensor:
         """Send targets (F,); return what the robot's own limits made of them."""
@@ -78,7 +80,7 @@ class LeRobotArm:
             return self._vector(self._robot.send_action(self._by_name(action)))
 
     def stop(self) -> None:
-        """Hold the positions that were read last."""
+        """Hold the finite positions that were read last."""
         if self._last is not None:
             self.send(self._last)
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_positive
 from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.physical.physical_robot import Numbers
 from torch_pmil.envs.physical.velocity_filter import VelocityFilter
@@ -63,17 +64,20 @@ class Ros2Robot:
     ) -> None:
         if interface not in ("position", "velocity", "effort"):
             raise ValueError(f"interface must be position, velocity or effort, got {interface}")
+        check_positive("timeout", timeout)
         self._publisher, self._command, self._joints = publisher, command, list(joints)
         self._timeout, self._interface, self._filter = timeout, interface, velocity_filter
         self._latest: _JointState | None = None
 
     def on_joint_state(self, message: Any) -> None:
-        """Take a ``sensor_msgs/JointState``; one without all of the joints is passed over."""
+        """Take a ``sensor_msgs/JointState``; one without a joint or its position is passed over."""
         if set(self._joints) <= set(message.name):
             order = [list(message.name).index(joint) for joint in self._joints]
             stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             positions = _entries(message.position, order)
             velocities = _entries(message.velocity, order)
+            if not positions.isfinite().all():
+                return  # stop() commands the positions that came last
             if self._filter is not None and velocities.isnan().any():
                 velocities = self._filter.update(positions, stamp)
             self._latest = _JointState(positions, velocities, stamp, time.monotonic())
@@ -117,5 +121,5 @@ class _JointState:
 
 def _entries(values: Sequence[float], order: Sequence[int]) -> Tensor:
     """Entries of an array of the message, which is empty where the robot does not measure them."""
-    known = [float(values[index]) for index in order] if len(values) else [torch.nan] * len(order)
+    known = [float(values[index]) if index < len(values) else torch.nan for index in order]
     return torch.tensor(known, dtype=torch.float64)

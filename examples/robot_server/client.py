@@ -21,6 +21,7 @@ from examples.robot_server.messages import (
     pack_command,
     unpack_state,
 )
+from torch_pmil.checks import check_positive
 from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.physical.physical_robot import Numbers
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
@@ -45,6 +46,7 @@ class RemoteRobot:
     def __init__(
         self, dim: int, timeout: float, states: str = STATES, commands: str = COMMANDS
     ) -> None:
+        check_positive("timeout", timeout)
         self._dim, self._timeout, self._address = dim, timeout, commands
         self._context = zmq.Context()
         self._context.linger = 0

@@ -7,6 +7,7 @@ size is refused.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,6 +78,8 @@ def unpack_command(message: bytes, num_actions: int) -> Command:
     kind, rollout, *action = _unpack(layout, message)
     if kind not in (ACTION, PUT_BACK, STOP):
         raise ValueError(f"a command must be one of A, P and S, got {kind!r}")
+    if not all(map(math.isfinite, action)):
+        raise ValueError(f"an action must be finite numbers, got {action}")
     return Command(kind, rollout, tuple(action))
 
 

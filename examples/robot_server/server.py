@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import pydoc
+import signal
 import sys
 import time
 
@@ -33,6 +34,8 @@ from examples.robot_server.simulated_robot import SimulatedRobot
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.physical.readings import ControlClock
 
+MOST_HEARD = 50  # messages in a time step, so that a flood of them does not hold up the watchdog
+COMPLAINTS = 1.0  # s between two lines about wrong messages
 PATIENCE = 1.8  # control periods without an action after which the robot stops
 
 
@@ -55,18 +58,21 @@ class RobotServer:
         self._actions = Connection[Command](disturbance, self._generator)
         self._states = Connection[bytes](disturbance, self._generator)
         self._status, self._rollout, self._last_action = Status.HELD, 0, 0.0
+        self._complained = -COMPLAINTS
 
     def hear(self, message: bytes, now: float) -> None:
         """Take a message; one that is no command is told and forgotten."""
         try:
             command = unpack_command(message, self._robot.env.model.nu)
         except ValueError as error:
-            print(error, file=sys.stderr, flush=True)
+            if now - self._complained >= COMPLAINTS:
+                self._complained = now
+                print(error, file=sys.stderr, flush=True)
             return
         if command.kind == ACTION:
             self._actions.put(command, now)
         elif command.kind == STOP and command.rollout == self._rollout:
-            self._stop()
+            self.stop()
         elif command.kind == PUT_BACK and command.rollout != self._rollout:
             self._robot.put_back()
             self._status, self._rollout = Status.HELD, command.rollout
@@ -78,7 +84,7 @@ class RobotServer:
                 self._robot.act(command.action)
                 self._status, self._last_action = Status.MOVING, now
         if self._status == Status.MOVING and now - self._last_action > self._patience:
-            self._stop()
+            self.stop()
         if self._status != Status.HELD:
             self._robot.advance()
         state = self._robot.state()
@@ -87,7 +93,8 @@ class RobotServer:
         self._states.put(pack_state(told), now)
         return [*self._states.arrived(now)]
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """Bring the robot to rest until it is put back."""
         self._robot.stop()
         self._status = Status.STOPPED
 
@@ -100,12 +107,17 @@ def serve(server: RobotServer, timestep: float, states: str, commands: str) -> N
     heard.bind(commands)
     print(f"a robot tells its state at {states} and takes actions at {commands}", flush=True)
     clock = ControlClock(timestep)
-    while True:
-        clock.wait()
-        while heard.poll(0):
-            server.hear(heard.recv(), time.monotonic())
-        for message in server.step(time.monotonic()):
-            told.send(message)
+    try:
+        while True:
+            clock.wait()
+            for _ in range(MOST_HEARD):
+                if not heard.poll(0):
+                    break
+                server.hear(heard.recv(), time.monotonic())
+            for message in server.step(time.monotonic()):
+                told.send(message)
+    finally:
+        server.stop()
 
 
 def main() -> None:
@@ -121,6 +133,8 @@ def main() -> None:
     parser.add_argument("--states", default=STATES, metavar="ADDRESS")
     parser.add_argument("--commands", default=COMMANDS, metavar="ADDRESS")
     given = parser.parse_args()
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))  # stops the robot
     robot = pydoc.locate(given.robot)
     if not callable(robot):
         parser.error(f"--robot must name a class of MuJoCo robots, got {given.robot}")

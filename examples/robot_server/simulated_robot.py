@@ -38,8 +38,9 @@ class SimulatedRobot:
         self.stop()
 
     def act(self, action: Sequence[float]) -> None:
-        """Take an action, and hold it."""
-        self._data.ctrl = action
+        """Take an action within the range of the motors, and hold it."""
+        limits = self.env.action_spec.space
+        self._data.ctrl = np.clip(action, limits.low.numpy(), limits.high.numpy())
 
     def stop(self) -> None:
         """Come to rest."""

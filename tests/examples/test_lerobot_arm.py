@@ -83,6 +83,18 @@ def test_arm_that_is_stopped_holds_where_it_was_last() -> None:
     assert fake.positions == dict.fromkeys(MOTORS, 25.0)
 
 
+def test_reading_that_is_not_finite_is_no_target() -> None:
+    fake = FakeArm()
+    arm = LeRobotArm(fake, MOTORS, unit=1.0)
+    arm.read_state()
+    fake.positions = dict.fromkeys(MOTORS, math.nan)
+    arm.read_state()
+    sent = []
+    fake.send_action = lambda action: sent.append(action) or action
+    arm.stop()
+    assert list(sent[0].values()) == [10.0] * 3
+
+
 def test_motor_that_the_arm_has_not_is_told() -> None:
     with pytest.raises(KeyError, match=r"tail\.pos"):
         LeRobotArm(FakeArm(), ["tail"]).read_state()

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-pytest.importorskip("zmq", reason="needs the extra remote")
+zmq = pytest.importorskip("zmq", reason="needs the extra remote")
 
 from examples.robot_server.client import RemoteRobot, served_env
 from examples.robot_server.connection import Connection, Disturbance
@@ -30,7 +31,7 @@ from examples.robot_server.messages import (
     unpack_command,
     unpack_state,
 )
-from examples.robot_server.server import RobotServer
+from examples.robot_server.server import RobotServer, serve
 from examples.robot_server.simulated_robot import SimulatedRobot
 from tests.helpers.run_script import ROOT
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
@@ -160,6 +161,53 @@ def test_message_of_another_size_or_kind_is_told_and_forgotten(
         unpack_command(message, num_actions=2)
     with pytest.raises(ValueError, match="a message must have 45 bytes"):
         unpack_state(message, dim=4)
+
+
+@pytest.mark.parametrize("action", [(np.nan, 0.0), (0.0, np.inf)])
+def test_action_that_is_not_finite_is_refused(
+    action: tuple, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = Rig()
+    rig.tell(Command(PUT_BACK, 7))
+    rig.tell(Command(ACTION, 7, action))
+    rig.tell(Command(ACTION, 7, action))
+    assert capsys.readouterr().err.count("an action must be finite numbers") == 1
+    assert rig.run(2)[-1].status == Status.HELD
+
+
+def test_action_beyond_the_range_is_the_largest_one() -> None:
+    moved = []
+    for torque in (1e300, DoublePendulumEnv().action_spec.space.high[0].item()):
+        rig = Rig()
+        rig.tell(Command(PUT_BACK, 7))
+        rig.tell(Command(ACTION, 7, (torque, 0.0)))
+        moved.append(rig.run(40)[-1].entries)
+    assert moved[0] == moved[1]
+
+
+class Flooded(RobotServer):
+    """To which a message comes whenever it looks, until it has made 200 time steps."""
+
+    def step(self, now: float) -> list[bytes]:
+        self.now, self.steps = now, getattr(self, "steps", 0) + 1
+        if self.steps == 200:
+            raise KeyboardInterrupt
+        return super().step(now)
+
+
+def test_robot_stops_by_itself_while_its_socket_is_flooded_and_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(zmq.Socket, "poll", lambda *_: 1)
+    messages = iter([pack_command(Command(PUT_BACK, 7)), pack_command(Command(ACTION, 7, (1, 0)))])
+    monkeypatch.setattr(zmq.Socket, "recv", lambda *_: next(messages, b"noise"))
+    server = Flooded(DoublePendulumEnv(seed=3), Disturbance(), [0.0], seed=0)
+    stops, stop = [], server.stop
+    monkeypatch.setattr(server, "stop", lambda: stops.append(time.monotonic()) or stop())
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        serve(server, TIMESTEP, f"ipc://{tmp_path}/s", f"ipc://{tmp_path}/c")
+    assert len(stops) == 2 and 1.7 * PERIOD < stops[0] - begun < 3 * PERIOD
 
 
 SERVO = """

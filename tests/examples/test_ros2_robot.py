@@ -109,6 +109,15 @@ def test_robot_that_is_stopped_stays(interface: str, expected: list[float]) -> N
     assert publisher.published == [expected]
 
 
+@pytest.mark.parametrize("positions", [[math.nan, 2.0, 3.0], [1.0]])
+def test_message_without_a_position_is_passed_over(positions: list[float]) -> None:
+    robot, publisher = made()
+    robot.on_joint_state(state([1.0, 2.0, 3.0], [0.0] * 3))
+    robot.on_joint_state(state(positions, [0.0] * 3))
+    robot.stop()
+    assert publisher.published == [[3.0, 1.0]]
+
+
 def test_interface_that_does_not_exist_is_told() -> None:
     with pytest.raises(ValueError, match="interface must be position, velocity or effort"):
         made(interface="torque")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -19,6 +22,7 @@ from tests.helpers.run_script import ROOT
 from tests.helpers.virtual_time import VirtualTime, virtual_time, wait_until
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
+from torch_pmil.envs.physical.watched_robot import SIGNALS
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 Make = Callable[..., PhysicalRobotEnv]
@@ -49,6 +53,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualTime:
 
 
 STILL, NAN = constant(0.0, 0.0), [float("nan"), 0.0]
+STAMP = "a time stamp must be a finite number of seconds"
 
 
 def fail(error: BaseException) -> None:
@@ -118,6 +123,13 @@ def test_robot_is_stopped_two_periods_after_the_last_action(make_env: Make) -> N
         (lambda: fail(RobotError("it is on fire")), "it is on fire"),
         (lambda: (NAN, time.monotonic()), f"a reading must be 2 finite numbers, got {NAN}"),
         (lambda: ([1.0], time.monotonic()), "a reading must be 2 finite numbers, got [1.0]"),
+        (lambda: (["a", 0], 1.0), "a reading must be 2 finite numbers, got ['a', 0]"),
+        (lambda: ([1j, 0], 1.0), "a reading must be 2 finite numbers, got [1j, 0]"),
+        (lambda: 7.0, "read_state must return a state and its time, got 7.0"),
+        *[
+            (lambda stamp=stamp: ([0.0, 0.0], stamp), f"{STAMP}, got {stamp}")
+            for stamp in (NAN[0], float("inf"), None)
+        ],
     ],
 )
 def test_failed_reading_ends_the_rollout(make_env: Make, fault: Callable, line: str) -> None:
@@ -130,6 +142,57 @@ def test_failed_reading_ends_the_rollout(make_env: Make, fault: Callable, line: 
     assert env.cut_short == line and robot.calls[-1] == "stop"
     env.reset()
     assert env.cut_short == ""
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-6])
+def test_time_stamp_that_jumps_ahead_and_then_stands_still_ends_the_rollout(
+    make_env: Make, clock: VirtualTime, speed: float
+) -> None:
+    def jumped() -> tuple[list[float], float]:
+        return [0.0, 0.0], 5000.0 + speed * clock.monotonic()
+
+    env = make_env(FakeRobot(dict.fromkeys(range(4, 20), jumped)))
+    rollout = env.rollout(20, STILL)
+    assert rollout["next", "late"].flatten().tolist() == [False, False, True, True, True]
+    assert env.cut_short.startswith("3 steps in a row were late; the last one: ")
+
+
+def test_clock_that_is_set_ahead_makes_one_step_late(make_env: Make, clock: VirtualTime) -> None:
+    faults = {k: lambda: ([0.0, 0.0], clock.monotonic() + 3600.0) for k in range(4, 20)}
+    rollout = make_env(FakeRobot(faults)).rollout(6, STILL)
+    assert rollout["next", "late"].flatten().tolist() == [False, False, True, False, False, False]
+
+
+@pytest.mark.parametrize("sent", [[1.0], [0.0, 0.0, 0.0], NAN, "ok", object()])
+def test_answer_that_is_no_action_ends_the_rollout(make_env: Make, sent: object) -> None:
+    robot = FakeRobot()
+    robot.send = lambda action: sent
+    env = make_env(robot)
+    rollout = env.rollout(10, STILL)
+    assert len(rollout) == 1 and rollout["next", "sent"].tolist() == [[0.0, 0.0]]
+    assert env.cut_short.startswith("what send returns must be 2 finite numbers, got ")
+    assert robot.calls[-1] == "stop"
+
+
+def test_robot_that_writes_into_its_action_changes_no_record(make_env: Make) -> None:
+    robot = FakeRobot()
+    robot.send = lambda action: fail(OSError) if action.zero_().any() else None
+    assert make_env(robot).rollout(1, constant(0.5, 1.0))["next", "sent"].tolist() == [[0.5, 1.0]]
+
+
+def test_robot_that_cannot_be_stopped_is_not_started(make_env: Make) -> None:
+    robot = FakeRobot()
+    robot.stop = lambda: fail(OSError("no bus"))
+    asked = []
+    env = make_env(robot, operator=lambda: asked.append(1))
+    with pytest.raises(RobotError, match="the robot could not be stopped: OSError: no bus"):
+        env.reset()
+    robot.stop = lambda: None
+    env.reset()
+    env.close()
+    with pytest.raises(RobotError, match="closed: make a new one"):
+        env.reset()
+    assert asked == [1]
 
 
 def test_action_that_cannot_be_sent_ends_the_rollout(make_env: Make) -> None:
@@ -232,6 +295,9 @@ def test_operator_comes_before_each_rollout_and_may_end_it_all(make_env: Make) -
     [
         (lambda: fail(OSError("no such device")), "OSError: no such device"),
         (repeated, "time stamps must advance, got 1.0 s and 0.08 s later 1.0 s"),
+        (lambda: ([0.0, 0.0], time.time_ns()), "time stamps must be in seconds, got"),
+        (lambda: ([0.0, 0.0], 1e3 * time.monotonic()), "time stamps must be in seconds, got"),
+        (lambda: ([0.0, 0.0], time.monotonic() / 60), "time stamps must be in seconds, got"),
     ],
 )
 def test_robot_that_cannot_be_read_is_told_at_the_reset(
@@ -263,40 +329,116 @@ def test_robot_stops_on_every_way_out(end: str) -> None:
 
 
 PROGRAM = """
-import os, signal, sys, time
+import os, signal, sys, threading, time
 sys.path.insert(0, {root!r})
 from tests.helpers.fake_robot import FakeRobot, fake_env
 class Told(FakeRobot):
     def stop(self):
         print("stop", flush=True)
 robot = Told()
-env = fake_env(robot, control_period=1.0)
-env.reset()
-env._robot.send([0.0, 0.0])
+env = fake_env(robot, control_period={period}, operator=lambda: None)
+env._robot.stop()
+env._robot.start()
+env._robot.send(env.action_spec.zero())
 print("moves", flush=True)
 {end}
 """
+BLOCKED = """
+locked = threading.Lock()
+locked.acquire()
+robot.stop = lambda: print("stop", flush=True) or locked.acquire()
+print(time.monotonic(), flush=True)
+"""
+KILL = "os.kill(os.getpid(), signal.SIG{}); time.sleep(3)"
+FORKED = """
+child = os.fork()
+if not child:
+    {}
+os.waitpid(child, 0)
+"""
 ENDS = {
-    "exit": ("sys.exit(3)", 3),
-    "error": ("raise RuntimeError", 1),
-    "interrupt": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(1)", 1),
-    "terminate": ("os.kill(os.getpid(), signal.SIGTERM); time.sleep(1)", -signal.SIGTERM),
-    "terminal": ("os.kill(os.getpid(), signal.SIGHUP); time.sleep(1)", -signal.SIGHUP),
-    "hanging": ("time.sleep(2.5); os._exit(9)", 9),
+    "exit": "sys.exit(3)",
+    "error": "raise RuntimeError",
+    "interrupt": KILL.format("INT"),
+    "terminate": KILL.format("TERM"),
+    "terminal": KILL.format("HUP"),
+    "quit": KILL.format("QUIT"),
+    "child exits": FORKED.format("sys.exit()") + "print('parent', flush=True)",
+    "child is terminated": FORKED.format(KILL.format("TERM")) + "print('parent', flush=True)",
 }
+
+
+def ended(program: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def moving(end: str, period: float = 20.0) -> str:
+    """A program whose robot moves, and how it ends."""
+    return PROGRAM.format(root=str(ROOT), period=period, end=end)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ENDS)
 def test_robot_stops_when_its_program_ends(end: str) -> None:
     """And the program ends as it would without a robot."""
-    command, code = ENDS[end]
-    program = PROGRAM.format(root=str(ROOT), end=command)
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert ended.stdout.split() == ["stop", "moves", "stop"]
-    assert ended.returncode == code
+    found = ended(moving(ENDS[end]))
+    plain = ended(f"import os, signal, sys, time\n{ENDS[end]}")
+    assert found.stdout.split() == ["stop", "moves", *plain.stdout.split(), "stop"]
+    assert found.returncode == plain.returncode
+
+
+@pytest.mark.slow
+def test_robot_of_a_program_that_hangs_stops() -> None:
+    found = ended(moving("time.sleep(2); os._exit(9)", period=0.5))
+    assert found.stdout.split() == ["stop", "moves", "stop"] and found.returncode == 9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ["INT", "TERM"])
+def test_stop_that_blocks_delays_a_signal_by_a_second(number: str) -> None:
+    found = ended(moving(BLOCKED + KILL.format(number) + "\nprint('survived')"))
+    words = found.stdout.split()
+    assert words[:2] == ["stop", "moves"] and words[3:] == ["stop"]
+    assert found.returncode == -signal.Signals[f"SIG{number}"]
+    assert "its stop did not return" in found.stderr
+    assert 0.9 < time.monotonic() - float(words[2]) < 8
+
+
+@pytest.mark.slow
+def test_suspended_program_has_stopped_its_robot_and_goes_on() -> None:
+    program = moving(KILL.format("TSTP")) + "print(env._robot._stopped)"
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, process_group=0
+    ) as child:
+        assert [child.stdout.readline() for _ in range(3)] == ["stop\n", "moves\n", "stop\n"]
+        time.sleep(0.2)
+        os.kill(child.pid, signal.SIGCONT)
+        assert child.stdout.read() == "at SIGTSTP\n"
+    assert child.returncode == 0
+
+
+def test_signal_stops_the_robot_at_once_and_a_second_one_ends_a_stop_that_hangs(
+    make_env: Make,
+) -> None:
+    robot = FakeRobot()
+    make_env(robot).reset()
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert robot.calls.count("stop") == 2 and robot.stopped_at - begun < 0.2
+    robot.stop = lambda: signal.raise_signal(signal.SIGINT) or time.sleep(9)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert time.monotonic() - begun < 5
+
+
+def test_environment_made_outside_the_main_thread_warns(make_env: Make) -> None:
+    with ThreadPoolExecutor() as threads, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        threads.submit(make_env, FakeRobot()).result()
+    assert len(caught) == 1 and "must be made in the main thread" in str(caught[0].message)
 
 
 def test_no_garbage_is_collected_while_the_robot_moves(make_env: Make) -> None:
@@ -309,11 +451,11 @@ def test_no_garbage_is_collected_while_the_robot_moves(make_env: Make) -> None:
 
 
 def test_handlers_of_signals_come_back() -> None:
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in SIGNALS]
     env = fake_env(FakeRobot())
-    assert signal.getsignal(signal.SIGTERM) != before[1]
+    assert signal.getsignal(signal.SIGQUIT) != before[SIGNALS.index(signal.SIGQUIT)]
     env.close()
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
 WRONG = [
@@ -321,7 +463,12 @@ WRONG = [
     ({"low": [0.0, 3.0]}, r"low must be below high, got \[0.0, 3.0\] and \[1.0, 3.0\]"),
     ({"high": [1.0, float("inf")]}, "high must be a list of finite numbers"),
     ({"action_names": ["one"]}, "action_names must be 2 words, got one"),
-    ({"control_period": 0.0}, "control_period must be positive and finite"),
+    *[({"control_period": value}, "control_period must be a positive") for value in (0.0, "1")],
+    *[({"tolerance": value}, "tolerance must be a pos") for value in (NAN[0], 0.0, float("inf"))],
+    *[({"most_late": value}, "most_late must be a whole number") for value in (0, 1.5, None)],
+    *[({"dim": value}, "dim must be a whole number") for value in (0, -1, 2.0)],
+    *[({"low": value}, "low must be a list of finite numbers") for value in ([], None, -1.0, "a")],
+    ({"action_names": "ab"}, "action_names must be 2 words, got ab"),
     ({"largest_change": [1.0, 1.0]}, "largest_change needs holding_action"),
     ({"largest_change": [1.0, -1.0]}, "largest_change must be 2 positive numbers"),
 ]
@@ -331,6 +478,23 @@ WRONG = [
 def test_wrong_settings_are_refused(settings: dict, line: str) -> None:
     with pytest.raises(ValueError, match=line):
         fake_env(FakeRobot(), **settings)
+
+
+class Waiting(FakeRobot):
+    async def stop(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("robot", [None, FakeRobot, Waiting(), object()])
+def test_what_is_no_robot_is_refused(robot: object) -> None:
+    with pytest.raises(TypeError, match="robot needs the methods read_state, send, stop, got"):
+        fake_env(robot)
+
+
+def test_holding_action_of_another_length_is_refused(make_env: Make) -> None:
+    env = make_env(FakeRobot(), holding_action=lambda state: state[:1])
+    with pytest.raises(ValueError, match="holding_action must be 2 finite numbers, got"):
+        env.reset()
 
 
 def test_actions_have_names_and_units(make_env: Make) -> None:

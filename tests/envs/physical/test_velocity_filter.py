@@ -63,8 +63,29 @@ def test_repeated_reading_changes_nothing_and_a_pause_is_forgotten() -> None:
 
 @pytest.mark.parametrize("time_constant", [-0.1, math.nan, math.inf])
 def test_wrong_time_constants_are_told(time_constant: float) -> None:
-    with pytest.raises(ValueError, match="time_constant must be a finite number of seconds"):
+    with pytest.raises(ValueError, match="time_constant must be a finite number"):
         VelocityFilter(time_constant)
+
+
+@pytest.mark.parametrize(
+    ("positions", "stamp"), [([math.nan], 0.04), ([0.0, 0.0], 0.04), ([0.2], math.nan)]
+)
+def test_wrong_reading_is_refused_and_leaves_no_trace(positions: list, stamp: float) -> None:
+    smooth, other = VelocityFilter(0.05), VelocityFilter(0.05)
+    for one in (smooth, other):
+        one.update([0.0], 0.0)
+        one.update([0.1], 0.02)
+    with pytest.raises(ValueError, match="must be"):
+        smooth.update(positions, stamp)
+    assert torch.equal(smooth.update([0.3], 0.06), other.update([0.3], 0.06))
+
+
+def test_clock_that_begins_anew_begins_the_filter_anew() -> None:
+    smooth = VelocityFilter(0.0)
+    smooth.update([0.0], 900.0)
+    assert smooth.update([1.0], 900.5).item() == 2.0
+    assert smooth.update([1.0], 0.0).item() == 0.0
+    assert smooth.update([0.5], 0.5).item() == -1.0
 
 
 class Rail(FakeRobot):

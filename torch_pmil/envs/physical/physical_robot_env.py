@@ -13,7 +13,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
+from torch_pmil.checks import check_positive, check_whole
 from torch_pmil.envs.operator import RobotError, prompt
+from torch_pmil.envs.physical.checks import check_robot, finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
 from torch_pmil.envs.physical.readings import ControlClock, Readings
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
@@ -33,14 +35,17 @@ class PhysicalRobotEnv(RobotEnv):
 
     A step is late if the robot repeats a time stamp, or if one of these is off by more than
     ``tolerance`` of a period: the time from a reading to the action that answers it, the time from
-    the deadline to the reading, the age of the reading compared with the rollout's first one. The
-    model learns from late steps too, although their action was not held for exactly one period.
-    After ``most_late`` late steps in a row the rollout ends. A reading that fails or is not finite
-    also ends it. ``cut_short`` then gives the reason.
+    the deadline to the reading, the age of the reading compared with the newest one so far, or a
+    time stamp that runs ahead. The model learns from late steps too, although their action was not
+    held for exactly one period.
+    After ``most_late`` late steps in a row the rollout ends. A reading that fails, or whose state
+    or time stamp is not finite, also ends it. ``cut_short`` then gives the reason.
 
-    The robot stops when a rollout ends early, at an exception, Ctrl-C, SIGTERM, ``close`` and the
-    end of the program, and when no action came within two periods, which includes the end of a
-    rollout. Against ``kill -9`` it needs a watchdog of its own.
+    The robot stops when a rollout ends early, at an exception, Ctrl-C, Ctrl-\\, Ctrl-Z, SIGTERM,
+    SIGHUP, ``close`` and the end of the program, and when no action came within two periods, which
+    includes the end of a rollout. Against ``kill -9`` it needs a watchdog of its own. Signals stop
+    it only if the environment was made in the main thread; elsewhere a RuntimeWarning says so. A
+    fork of the process neither moves nor stops the robot.
 
     Keys, besides those of every robot, float64 unless stated: ``"time"`` (1,), the time stamp of
     the reading in s; ``"delay"`` (1,), seconds from the reading before to the sending of the
@@ -65,7 +70,8 @@ class PhysicalRobotEnv(RobotEnv):
 
     Raises:
         ValueError: a setting has the wrong shape or range.
-        RobotError: at a reset, if the robot cannot be read.
+        TypeError: the robot lacks a method, or a setting that must be a function is none.
+        RobotError: at a reset, if the robot cannot be read or stopped.
 
     Example:
         >>> class Cart:
@@ -103,10 +109,20 @@ class PhysicalRobotEnv(RobotEnv):
         tolerance: float = 0.25,
         most_late: int = 3,
     ) -> None:
+        check_robot(robot)
+        check_whole("dim", dim, 1)
+        check_whole("most_late", most_late, 1)
+        for name, value in {"control_period": control_period, "tolerance": tolerance}.items():
+            check_positive(name, value)
+        if not callable(operator) or not (holding_action is None or callable(holding_action)):
+            raise TypeError(
+                f"operator and holding_action must be functions, got {operator!r} and "
+                f"{holding_action!r}"
+            )
         super().__init__((), control_period, from_pixels=False, seed=None)
         self.operator, self.holding_action = operator, holding_action
         self.tolerance, self.most_late = tolerance, most_late
-        low, high = _vector("low", low), _vector("high", high)
+        low, high = finite_vector("low", low), finite_vector("high", high)
         if low.shape != high.shape or not (low < high).all():
             raise ValueError(f"low must be below high, got {low.tolist()} and {high.tolist()}")
         self._names = _named("action_names", action_names, len(low))
@@ -141,6 +157,7 @@ class PhysicalRobotEnv(RobotEnv):
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         self._robot.stop()
+        self._robot.check_ready()
         self.operator()
         self.cut_short, self._late_in_a_row = "", 0
         try:
@@ -149,7 +166,8 @@ class PhysicalRobotEnv(RobotEnv):
             raise RobotError(_failure(error)) from error
         self._sent = torch.zeros_like(self.action_spec.space.low)
         if self.holding_action is not None:
-            self._sent = _vector("holding_action", self.holding_action(self._readings.latest.state))
+            held = self.holding_action(self._readings.latest.state.clone())
+            self._sent = finite_vector("holding_action", held, len(self._sent))
         self._clock.start()
         self._robot.start()
         self._continued = Continued(self.turning_entries)
@@ -186,8 +204,7 @@ class PhysicalRobotEnv(RobotEnv):
         if self._clock.lag() > self._slack:
             self._clock.start()  # the period of an action that comes late counts from its sending
         try:
-            sent = self._robot.send(action)
-            self._sent = action if sent is None else _vector("what send returns", sent)
+            self._sent = self._robot.send(action)
             self._clock.wait()
             self._readings.take()
         except Exception as error:  # each robot fails with errors of its own
@@ -208,6 +225,8 @@ class PhysicalRobotEnv(RobotEnv):
         """Why a step is late, or ""."""
         if self._readings.repeated():
             return f"the robot repeats the reading of {self._readings.latest.stamp:.3f} s"
+        if self._readings.jump() > self._slack:
+            return f"its time stamp ran ahead by {self._readings.jump():.3f} s"
         if self._readings.age() > self._slack:
             return f"its reading was {self._readings.age():.3f} s old"
         if overrun > self._slack:
@@ -252,17 +271,13 @@ def _failure(error: Exception) -> str:
     return bounded_line(f"the robot failed with {type(error).__name__}: {error}")
 
 
-def _vector(name: str, values: Numbers) -> Tensor:
-    vector = torch.as_tensor(values, dtype=torch.float64).clone()
-    if vector.dim() != 1 or not vector.isfinite().all():
-        raise ValueError(f"{name} must be a list of finite numbers, got {vector.tolist()}")
-    return vector
-
-
 def _named(name: str, words: Sequence[str] | None, count: int) -> tuple[str, ...]:
-    if words is not None and len(words) != count:
-        raise ValueError(f"{name} must be {count} words, got {', '.join(words) or 'none'}")
-    return tuple(words or ())
+    given = () if words is None else (words,) if isinstance(words, str) else tuple(words)
+    if words is not None and (isinstance(words, str) or len(given) != count):
+        raise ValueError(
+            f"{name} must be {count} words, got {', '.join(map(str, given)) or 'none'}"
+        )
+    return given
 
 
 def _changes(
@@ -270,8 +285,8 @@ def _changes(
 ) -> Tensor | None:
     if values is None:
         return None
-    changes = _vector("largest_change", values)
-    if changes.shape != (count,) or not (changes > 0).all():
+    changes = finite_vector("largest_change", values, count)
+    if not (changes > 0).all():
         raise ValueError(f"largest_change must be {count} positive numbers, got {changes.tolist()}")
     if holding_action is None:
         raise ValueError("largest_change needs holding_action, from which the first one changes")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from torch_pmil.envs.operator import RobotError
+from torch_pmil.envs.physical.checks import finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers
+
+UNIT = 10  # factor by which the first time stamps may seem to pass faster or slower than seconds
 
 
 class ControlClock:
@@ -49,9 +52,14 @@ class Reading:
     stamp: float  # of the measurement, in s of the robot's clock
     taken: float  # of the arrival, in s of time.monotonic
 
+    @property
+    def lead(self) -> float:
+        """Seconds by which the robot's clock is ahead of ours, less the age of the reading."""
+        return self.stamp - self.taken
+
 
 class Readings:
-    """The first and the latest reading of a rollout.
+    """The readings of a rollout, and how old they are.
 
     Args:
         read_state: of a :class:`~torch_pmil.envs.physical.physical_robot.PhysicalRobot`.
@@ -73,34 +81,53 @@ class Readings:
     def begin(self, pause: float) -> None:
         """Take two readings, ``pause`` seconds apart; the second one is the rollout's first.
 
-        Raises RobotError if a reading is not a state, or the time stamp did not advance.
+        Raises RobotError if a reading is not a state, or the time stamps do not advance in seconds.
         """
         stale = self._read()
         time.sleep(pause)
-        self._first = self._before = self.latest = self._read()
-        if self.latest.stamp <= stale.stamp:
-            raise RobotError(
-                f"the robot's time stamps must advance, got {stale.stamp} s and {pause} s later "
-                f"{self.latest.stamp} s"
-            )
+        first = self._before = self.latest = self._read()
+        stamps = f"got {stale.stamp} s and {pause} s later {first.stamp} s"
+        advance, passed = first.stamp - stale.stamp, first.taken - stale.taken
+        if advance <= 0:
+            raise RobotError(f"the robot's time stamps must advance, {stamps}")
+        if not passed / UNIT <= advance <= passed * UNIT:
+            raise RobotError(f"the robot's time stamps must be in seconds, {stamps}")
+        self._lead = self._lead_before = first.lead
 
     def take(self) -> None:
         """Take the next reading. Raises RobotError if it is not a state."""
         self._before, self.latest = self.latest, self._read()
+        self._lead_before, self._lead = self._lead, max(self._lead, self.latest.lead)
 
     def repeated(self) -> bool:
         """Whether the latest reading is no newer than the one before."""
         return self.latest.stamp <= self._before.stamp
 
     def age(self) -> float:
-        """Seconds by which the latest reading was older at its arrival than the first one was."""
-        passed = self.latest.taken - self._first.taken
-        return passed - (self.latest.stamp - self._first.stamp)
+        """Seconds by which the latest reading was older at its arrival than the newest so far."""
+        return self._lead - self.latest.lead
+
+    def jump(self) -> float:
+        """Seconds by which the latest time stamp is ahead of all before it."""
+        return self._lead - self._lead_before
 
     def _read(self) -> Reading:
-        state, stamp = self._read_state()
+        reading = self._read_state()
         taken = time.monotonic()
-        state = torch.as_tensor(state, dtype=torch.float64)
-        if state.shape != (self._dim,) or not state.isfinite().all():
-            raise RobotError(f"a reading must be {self._dim} finite numbers, got {state.tolist()}")
-        return Reading(state.clone(), float(stamp), taken)
+        if not isinstance(reading, tuple | list) or len(reading) != 2:
+            raise RobotError(f"read_state must return a state and its time, got {reading!r:.200}")
+        state, stamp = reading
+        try:
+            return Reading(finite_vector("a reading", state, self._dim), _seconds(stamp), taken)
+        except ValueError as error:
+            raise RobotError(str(error)) from error
+
+
+def _seconds(stamp: object) -> float:
+    try:
+        seconds = float(stamp)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise ValueError(f"a time stamp must be a finite number of seconds, got {stamp!r:.200}")
+    return seconds

@@ -12,7 +12,11 @@ import math
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_positive
+from torch_pmil.envs.physical.checks import check_robot, finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+
+ANEW = 1.0  # s by which an earlier stamp means another clock, and not a late message
 
 
 class VelocityFilter:
@@ -45,10 +49,7 @@ class VelocityFilter:
     """
 
     def __init__(self, time_constant: float) -> None:
-        if not (math.isfinite(time_constant) and time_constant >= 0):
-            raise ValueError(
-                f"time_constant must be a finite number of seconds from 0 on, got {time_constant}"
-            )
+        check_positive("time_constant", time_constant, zero=True)
         self.time_constant = time_constant
         self._stamp: float | None = None
 
@@ -57,10 +58,16 @@ class VelocityFilter:
 
         Args:
             positions: z, (J,).
-            stamp: time of the reading in s. A repeated or earlier one changes nothing.
+            stamp: time of the reading in s. A repeated or earlier one changes nothing. One that is
+                more than a second earlier is of a clock that began anew, and so does the filter.
+
+        Raises:
+            ValueError: an argument is not finite, or there are other numbers of positions.
         """
-        z = torch.as_tensor(positions, dtype=torch.float64)
-        if self._stamp is None:
+        z = finite_vector("positions", positions, None if self._stamp is None else len(self._q))
+        if not math.isfinite(stamp):
+            raise ValueError(f"stamp must be a finite number of seconds, got {stamp}")
+        if self._stamp is None or stamp < self._stamp - ANEW:
             self._stamp, self._q, self._dq = stamp, z.clone(), torch.zeros_like(z)
         dt = stamp - self._stamp
         if dt > 0:
@@ -78,6 +85,7 @@ class VelocityFilter:
             >>> VelocityFilter(0.0).delay(0.1)
             0.05
         """
+        check_positive("period", period)
         theta = self._theta(period)
         return period / 2 * (1 + 3 * theta) / (1 - theta)
 
@@ -88,6 +96,7 @@ class VelocityFilter:
             >>> round(VelocityFilter(0.0).noise_gain(0.1), 3)
             14.142
         """
+        check_positive("period", period)
         theta = self._theta(period)
         return math.sqrt(2) / period * ((1 - theta) / (1 + theta)) ** 1.5
 
@@ -111,13 +120,14 @@ class WithVelocities:
     def __init__(
         self, robot: PhysicalRobot, velocity_filter: VelocityFilter, positions_first: bool = False
     ) -> None:
+        check_robot(robot)
         self._robot, self._filter, self._positions_first = robot, velocity_filter, positions_first
 
     def read_state(self) -> tuple[Tensor, float]:
         """State (2J,) and its time stamp."""
         positions, stamp = self._robot.read_state()
-        q = torch.as_tensor(positions, dtype=torch.float64)
-        pairs = torch.stack([q, self._filter.update(q, stamp)], dim=-1)
+        dq = self._filter.update(positions, stamp)
+        pairs = torch.stack([finite_vector("positions", positions), dq], dim=-1)
         return (pairs.T if self._positions_first else pairs).flatten(), stamp
 
     def send(self, action: Numbers) -> Numbers | None:

@@ -118,6 +118,7 @@ def serve(server: RobotServer, timestep: float, states: str, commands: str) -> N
                 told.send(message)
     finally:
         server.stop()
+        context.destroy(linger=0)
 
 
 def main() -> None:

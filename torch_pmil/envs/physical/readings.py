@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_pmil.envs.operator import RobotError
-from torch_pmil.envs.physical.checks import finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers
+from torch_pmil.envs.physical.robot_checks import finite_vector
 
 UNIT = 10  # factor by which the first time stamps may seem to pass faster or slower than seconds
 

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_positive
-from torch_pmil.envs.physical.checks import check_robot, finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+from torch_pmil.envs.physical.robot_checks import check_robot, finite_vector
 
 ANEW = 1.0  # s by which an earlier stamp means another clock, and not a late message
 

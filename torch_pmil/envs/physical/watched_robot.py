@@ -16,8 +16,8 @@ from types import FrameType
 from torch import Tensor
 
 from torch_pmil.envs.operator import RobotError
-from torch_pmil.envs.physical.checks import finite_vector
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+from torch_pmil.envs.physical.robot_checks import finite_vector
 from torch_pmil.files import bounded_line
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)

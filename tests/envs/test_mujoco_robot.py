@@ -127,10 +127,14 @@ REFUSED = [
     ({"joints": ()}, ValueError, "got none"),
     ({"actions": ["servo9"]}, ValueError, "actions must be actuators among servo1, servo2"),
     ({"rate": 0.0}, ValueError, "rate must be positive and finite, in Hz, got 0"),
-    ({"rate": 30.0}, ValueError, "control_period must be a whole number of 0.001 s"),
-    ({"start": [0.0]}, ValueError, "start must be 2 positions"),
+    (
+        {"rate": 30.0},
+        RuntimeWarning,
+        r"time step 0.98039 ms \(the model.s is 1 ms\), so that 34 steps",
+    ),
+    ({"start": [0.0]}, ValueError, "start must be 2 finite positions"),
     ({"start_std": [0.1, 0.1]}, ValueError, "initial_std must be 4 finite numbers"),
-    ({"xml": 3}, TypeError, "xml must be a path or an MjSpec, got int"),
+    ({"xml": 3}, TypeError, "xml must be a path, XML text or an MjSpec, got int"),
     ({"xml": "nowhere.xml"}, FileNotFoundError, "nowhere.xml"),
     ({"xml": "broken.xml"}, ValueError, "must be a model that MuJoCo reads"),
 ]

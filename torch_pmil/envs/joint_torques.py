@@ -8,7 +8,7 @@ import torch
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from torch_pmil.envs.actuators import actions_for, actuator_names, actuator_units, force_limits
+from torch_pmil.envs.actuators import actions_for, actuator_units, answer_at_rest, force_limits
 from torch_pmil.envs.robot import Array, RobotEnv
 
 MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
@@ -18,12 +18,13 @@ class ModelledRobot(RobotEnv):
     """A robot with a MuJoCo model, which determines the forces of its actuators."""
 
     model: mujoco.MjModel
+    _actuators: dict[str, int]  # numbers of those that are actions, by the names of the actions
     _joints: tuple[str, ...]
     _state_columns: Tensor
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actuators in the model.
+        """Names of the actuators in the model that are actions.
 
         Example:
             >>> from torch_pmil.envs import DoublePendulumEnv
@@ -31,17 +32,18 @@ class ModelledRobot(RobotEnv):
             >>> env.action_names, env.action_units
             (('tau1', 'tau2'), ('N·m', 'N·m'))
         """
-        return actuator_names(self.model)
+        return tuple(self._actuators)
 
     @property
     def action_units(self) -> tuple[str, ...]:
         """Units of the actions; "" for an actuator that is neither a motor nor a servo."""
-        return actuator_units(self.model)
+        units = actuator_units(self.model)
+        return tuple(units[number] for number in self._actuators.values())
 
     @property
     def torque_limits(self) -> Tensor:
         """Largest torques or forces (F,) of motors and servos; infinite without a limit."""
-        return torch.from_numpy(force_limits(self.model))
+        return torch.from_numpy(force_limits(self.model)[list(self._actuators.values())])
 
     def holding_actions(self, states: Tensor) -> Tensor:
         """Actions (S, F) that hold the joints against gravity where they are in states (S, D).
@@ -97,12 +99,18 @@ class ModelledRobot(RobotEnv):
 
         It is 0 within the stops.
         """
+        low, high = self._stops
+        positions = states[..., self._position_entries]
+        return torch.maximum(positions - high, low - positions).clamp_min(0)
+
+    @property
+    def _stops(self) -> tuple[Tensor, Tensor]:
+        """Lowest and highest positions of the joints, (J,) each; infinite without stops."""
         joints = [self.model.joint(name) for name in self._joints]
         unlimited = (-np.inf, np.inf)
         stops = np.array([joint.range if joint.limited[0] else unlimited for joint in joints])
         low, high = torch.from_numpy(stops).unbind(-1)
-        positions = states[..., self._position_entries]
-        return torch.maximum(positions - high, low - positions).clamp_min(0)
+        return low, high
 
     @property
     def _position_entries(self) -> Tensor:
@@ -115,7 +123,8 @@ class ModelledRobot(RobotEnv):
         model, ids = self.model, [self.model.joint(name).id for name in self._joints]
         by_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT).all()
         moved = model.actuator_trnid[:, 0].tolist()
-        if not by_joint or sorted(moved) != sorted(ids) or model.nv != len(ids):
+        known = answer_at_rest(model) and len(self._actuators) == model.nu
+        if not (known and by_joint) or sorted(moved) != sorted(ids) or model.nv != len(ids):
             return None
         return [ids.index(joint) for joint in moved]
 

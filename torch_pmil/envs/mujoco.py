@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
 import mujoco
@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from torch_pmil.checks import check_tensor
+from torch_pmil.envs.actuators import actuator_names
 from torch_pmil.envs.joint_torques import ModelledRobot
 from torch_pmil.envs.mujoco_model import (
     FULL_PHYSICS,
@@ -55,10 +56,11 @@ class MujocoRobotEnv(ModelledRobot):
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
     float64, and with ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset``
-    draws x_0 ~ N(initial_mean, diag(initial_std²)) from the generator of this environment, or
-    starts at the ``"observation"`` it is given. With ``targets`` each observation also holds
-    ``"target"`` (*batch, K), float64. With ``observation_std`` each ``"observation"`` is the true
-    state plus noise from the same generator, and ``"state"`` (*batch, D) is the true one.
+    draws x_0 ~ N(initial_mean, diag(initial_std²)) from the generator of this environment, no joint
+    beyond its stops, or starts at the ``"observation"`` it is given. With ``targets`` each
+    observation also holds ``"target"`` (*batch, K), float64. With ``observation_std`` each
+    ``"observation"`` is the true state plus noise from the same generator, and ``"state"``
+    (*batch, D) is the true one.
     ``state_dict`` holds the physics and the generator, so a checkpoint resumes bit for bit.
 
     Args:
@@ -72,6 +74,9 @@ class MujocoRobotEnv(ModelledRobot):
         torque_limit: largest absolute torque (N·m) or force (N) of the motors, one for all or one
             each; None for the ctrlrange of the model.
         control_period: seconds between two actions; a whole number of simulation time steps.
+        actuators: numbers of the actuators that are actions, by the actions' names; None for all.
+        whole_start: full simulation states at a reset, of state vectors; None for the default pose
+            of what they do not hold.
         targets: what each robot is to do, such as the place of its ball, (num_envs, K) or (K,) for
             one robot.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
@@ -99,6 +104,8 @@ class MujocoRobotEnv(ModelledRobot):
         observation_std: Sequence[float] | Tensor | None = None,
         torque_limit: float | Sequence[float] | None = None,
         control_period: float = 0.1,
+        actuators: Mapping[str, int] | None = None,
+        whole_start: Callable[[Tensor], Tensor] | None = None,
         targets: Tensor | None = None,
         num_envs: int | None = None,
         from_pixels: bool = False,
@@ -110,7 +117,9 @@ class MujocoRobotEnv(ModelledRobot):
         self._models = limited_models(model, torque_limit, num_envs or 1)
         self.model = self._models[0]
         self.substeps = whole_substeps(control_period, self.model.opt.timestep)
-        self.pixel_size = pixel_size
+        self.pixel_size, self._whole_start = pixel_size, whole_start
+        own = actuator_names(self.model)
+        self._actuators = dict(actuators or zip(own, range(len(own)), strict=True))
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         self._joints = tuple(joints)
@@ -147,7 +156,7 @@ class MujocoRobotEnv(ModelledRobot):
         """
         models = self._models[robot : robot + 1]
         check_tensor("state", state, (len(state), self._state_columns.numel()), finite=False)
-        check_tensor("action", action, (len(state), self.model.nu), finite=False)
+        check_tensor("action", action, (len(state), len(self._actuators)), finite=False)
         physics, _ = self._integrate(self._physics_from_state(state, models), action, models)
         return self.state_of(physics[:, -1])
 
@@ -225,6 +234,8 @@ class MujocoRobotEnv(ModelledRobot):
 
         There are N models, or one for all.
         """
+        if self._whole_start is not None:
+            return self._whole_start(state)
         rest = {model: at_rest(model) for model in set(models)}
         physics = torch.stack([rest[model] for model in models])
         physics = physics.expand(state.shape[0], -1).clone()
@@ -233,7 +244,7 @@ class MujocoRobotEnv(ModelledRobot):
 
     def _make_specs(self) -> None:
         batch = self.batch_size
-        ranges = torch.from_numpy(self.model.actuator_ctrlrange.copy())
+        ranges = torch.from_numpy(self.model.actuator_ctrlrange[list(self._actuators.values())])
         low, high = ranges.expand(*batch, -1, -1).unbind(-1)
         dim, more = self._state_columns.numel(), dict[str, TensorSpec]()
         if self.observation_std is not None:
@@ -253,7 +264,7 @@ class MujocoRobotEnv(ModelledRobot):
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
         self._physics = physics
-        _, sensors = self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)
+        _, sensors = self._simulate(physics, torch.zeros(1, len(self._actuators)), 1, self._models)
         return self._measure(sensors)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -280,11 +291,13 @@ class MujocoRobotEnv(ModelledRobot):
     def _draw_starts(self) -> Tensor:
         shape = (self._physics.shape[0], self.initial_mean.numel())
         noise = torch.randn(shape, generator=self._generator, dtype=torch.float64)
-        return self.initial_mean + self.initial_std * noise
+        starts, places = self.initial_mean + self.initial_std * noise, self._position_entries
+        starts[:, places] = starts[:, places].clamp(*self._stops)
+        return starts
 
     def _rows(self, name: str, values: Tensor) -> Tensor:
         """Actions or starts (*batch, n) as (N, n), float64. Raises ValueError if they misfit."""
-        length = self.model.nu if name == "action" else self._state_columns.numel()
+        length = len(self._actuators) if name == "action" else self._state_columns.numel()
         check_tensor(name, values, (*self.batch_size, length))
         return values.detach().to(torch.float64).reshape(self._physics.shape[0], -1)
 
@@ -305,9 +318,9 @@ class MujocoRobotEnv(ModelledRobot):
         self, physics: Tensor, action: Tensor, steps: int, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
         """States (N, steps, P) after each time step, and sensor values (N, steps, S) before it."""
-        states, sensors = rollout.rollout(
-            models, self._data, physics.numpy(), action[:, None].numpy(), nstep=steps
-        )
+        control = np.zeros((len(action), 1, self.model.nu))
+        control[:, 0, list(self._actuators.values())] = action.numpy()
+        states, sensors = rollout.rollout(models, self._data, physics.numpy(), control, nstep=steps)
         return torch.from_numpy(states), torch.from_numpy(sensors)
 
     def _check_physics(self, before: Tensor, after: Tensor) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from torch import Tensor
 from torch_pmil.envs.actuators import actuator_kinds, actuator_names, actuator_units
 
 ASSETS = Path(__file__).parent / "assets"
+WHOLE = 1e-6  # by which a control period may differ from a whole number of time steps
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -46,6 +49,24 @@ def whole_substeps(control_period: float, timestep: float) -> int:
             f"{control_period} s"
         )
     return substeps
+
+
+def dividing_time_step(control_period: float, timestep: float) -> float:
+    """The time step if it divides the control period, else the next shorter one that does.
+
+    A shorter one is no less accurate or stable than that of the model. A warning names it.
+    """
+    steps = math.ceil(control_period / timestep - WHOLE)
+    if abs(steps * timestep - control_period) <= WHOLE * timestep:
+        return timestep
+    chosen = control_period / steps
+    warnings.warn(
+        f"time step {1e3 * chosen:.5g} ms (the model's is {1e3 * timestep:.5g} ms), so that "
+        f"{steps} steps make the control period of {1e3 * control_period:.6g} ms",
+        RuntimeWarning,
+        stacklevel=3,
+    )
+    return chosen
 
 
 def limited_models(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -14,9 +14,13 @@ from torch import Tensor
 
 from torch_pmil.envs.actuators import actuator_kinds
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco_actions import Chosen, choose_actuators, hold_others, moved_joint
+from torch_pmil.envs.mujoco_model import dividing_time_step
+from torch_pmil.envs.mujoco_start import WholeStart
+from torch_pmil.envs.robot import Array
 
 HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
-OF_JOINT = mujoco.mjtTrn.mjTRN_JOINT
+Start = str | int | Sequence[float] | Tensor | None
 PICTURE = (480, 640)
 CAMERA_DISTANCE = 2.2  # from the model's centre, in its extents
 
@@ -26,25 +30,31 @@ class MujocoRobot:
 
     The state has the joints' positions, named as the joints, then their velocities, with a ``d``
     before the name. Actions are what the actuators take, torques or targets. A position servo of a
-    joint gets the joint's name, which marks its action as that joint's target: the state itself is
-    then the action that holds the robot there. Pictures are taken by the model's camera
-    ``"front"``, or by an added one that sees all of it.
+    joint gets the joint's name if its gear is 1: the state itself is then the action that holds the
+    robot there. Pictures are taken by the model's camera ``"front"``, or by an added one that sees
+    all of it.
+
+    A keyframe is the whole start: of joints that are not observed, of activations, of mocap bodies,
+    and of the actuators that are not actions, which keep its controls. Servos without a control in
+    it stay where they are. Hidden joints that equalities tie to observed ones follow them.
 
     Args:
-        xml: the MJCF or URDF file, or a specification.
+        xml: the MJCF or URDF file, its text, or a specification.
         joints: names of the observed hinge and slide joints; other joints are hidden.
-        actions: names of the actuators, or the lowest and highest action by name; other actuators
-            are removed. None keeps all as they are. A range little larger than the task needs is
-            safer: far from its data the policy commands the middle of the range.
-        rate: control rate, Hz; its period must be a whole number of the model's time steps.
-        start: mean start positions of the joints (J,), rad or m; None for the model's first
-            keyframe, or zero.
+        actions: names of the actuators, or the lowest and highest action by name; None for all as
+            they are. The name of a joint stands for its only actuator. Others at the same joints
+            are switched off. A range little larger than the task needs is safer: far from its data
+            the policy commands the middle of the range.
+        rate: control rate, Hz. If its period is not a whole number of the model's time steps, they
+            become as much shorter as it takes, and a warning says so.
+        start: mean start positions of the joints (J,), rad or m; or the name or number of a
+            keyframe; None for the model's first keyframe, or its default pose.
         start_std: standard deviations of positions and velocities at a start, one for all, or one
-            for each entry of the state, (2 J,).
+            for each entry of the state, (2 J,). Starts end at the joints' stops.
 
     Raises:
         FileNotFoundError: there is no such file.
-        TypeError: ``xml`` is neither a path nor a specification.
+        TypeError: ``xml`` is neither a path, nor text, nor a specification.
         ValueError: MuJoCo cannot read the file, it lacks a joint or actuator, or a number is out
             of range.
 
@@ -64,9 +74,9 @@ class MujocoRobot:
         self,
         xml: str | os.PathLike[str] | mujoco.MjSpec,
         joints: Sequence[str],
-        actions: Sequence[str] | Mapping[str, tuple[float, float]] | None = None,
+        actions: Chosen = None,
         rate: float = 20.0,
-        start: Sequence[float] | Tensor | None = None,
+        start: Start = None,
         start_std: float | Sequence[float] | Tensor = 0.02,
     ) -> None:
         if not (math.isfinite(rate) and rate > 0):
@@ -74,13 +84,17 @@ class MujocoRobot:
         spec = _read(xml)
         self.name, self.joints, self.control_period = spec.modelname, tuple(joints), 1 / rate
         _check_joints(spec, self.joints)
-        _choose_actuators(spec, actions)
-        model = _compiled(spec)
-        _call_servos_as_their_joints(spec, model)
+        spec.option.timestep = dividing_time_step(self.control_period, spec.option.timestep)
         if "front" not in [camera.name for camera in spec.cameras]:
-            _add_camera(spec, model)
-        self.model = _compiled(spec)
-        self.initial_mean = torch.cat([self._start(start), torch.zeros(len(self.joints)).double()])
+            _add_camera(spec, _compiled(spec, xml))
+        self.model = _compiled(spec, xml)
+        self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+        self.actuators = choose_actuators(self.model, actions)
+        keyframe, positions = _start(self.model, self.joints, start)
+        given = (False, False) if keyframe is None else _gives(spec.keys[keyframe])
+        self.whole_start = WholeStart(self.model, self.joints, positions, keyframe, given)
+        hold_others(self.model, list(self.actuators.values()), self.whole_start.controls)
+        self.initial_mean = self.whole_start.mean
         std = torch.as_tensor(start_std, dtype=torch.float64)
         self.initial_std = std.expand(2 * len(self.joints)) if std.ndim == 0 else std
         self()  # raises what is wrong with the numbers
@@ -96,6 +110,8 @@ class MujocoRobot:
             initial_std=self.initial_std,
             positions_first=True,
             control_period=self.control_period,
+            actuators=self.actuators,
+            whole_start=self.whole_start,
             num_envs=num_envs,
             from_pixels=from_pixels,
             pixel_size=PICTURE,
@@ -126,69 +142,90 @@ class MujocoRobot:
         free = [joint for joint in joints if joint.type[0] == HINGE and not joint.limited[0]]
         return tuple(joint.name for joint in free)
 
-    def _start(self, start: Sequence[float] | Tensor | None) -> Tensor:
-        if start is None:
-            qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
-            return torch.tensor([qpos[self.model.joint(name).qposadr[0]] for name in self.joints])
-        positions = torch.as_tensor(start, dtype=torch.float64)
-        if positions.shape != (len(self.joints),):
-            raise ValueError(
-                f"start must be {len(self.joints)} positions, got {positions.tolist()}"
-            )
-        return positions
+    @property
+    def held(self) -> Callable[[Tensor], Tensor] | None:
+        """Actions (*batch, F) that point at states (*batch, D); None unless all can.
+
+        They are targets of position servos of the observed joints.
+        """
+        kinds, entries, gears = actuator_kinds(self.model), list[int](), list[float]()
+        for number in self.actuators.values():
+            joint = moved_joint(self.model, number)
+            if kinds[number] != "position" or joint not in self.joints:
+                return None
+            entries.append(self.joints.index(joint))
+            gears.append(self.model.actuator_gear[number, 0])
+        factors = torch.tensor(gears, dtype=torch.float64)
+        return lambda states: states[..., entries] * factors
 
 
 def _read(xml: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
     if isinstance(xml, mujoco.MjSpec):
         return xml.copy()
     if not isinstance(xml, str | os.PathLike):
-        raise TypeError(f"xml must be a path or an MjSpec, got {type(xml).__name__}")
-    if not Path(xml).is_file():
+        raise TypeError(f"xml must be a path, XML text or an MjSpec, got {type(xml).__name__}")
+    text = isinstance(xml, str) and xml.lstrip().startswith("<")
+    if not text and not Path(xml).is_file():
         raise FileNotFoundError(f"{xml}: there is no such file")
     try:
-        return mujoco.MjSpec.from_file(str(xml))
+        return mujoco.MjSpec.from_string(xml) if text else mujoco.MjSpec.from_file(str(xml))
     except ValueError as error:
-        raise ValueError(f"{xml} must be a model that MuJoCo reads: {error}") from error
+        raise ValueError(
+            f"{_label(xml)} must be a model that MuJoCo reads: {_line(error)}"
+        ) from error
 
 
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def _compiled(spec: mujoco.MjSpec, xml: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise ValueError(f"{spec.modelname} must compile: {error}") from error
+        raise ValueError(f"{_label(xml)} must compile: {_line(error)}") from error
+
+
+def _label(xml: object) -> str:
+    text = isinstance(xml, str) and xml.lstrip().startswith("<")
+    return "xml" if text or isinstance(xml, mujoco.MjSpec) else str(xml)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _check_joints(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
-    known = {joint.name: joint for joint in spec.joints if joint.type in (HINGE, SLIDE)}
-    unknown = [name for name in joints if name not in known]
+    named = [joint.name for joint in spec.joints if joint.type in (HINGE, SLIDE) and joint.name]
+    unknown = [name for name in joints if name not in named]
     if unknown or not joints:
         raise ValueError(
-            f"joints must be hinges and slides among {', '.join(known)}, got "
+            f"joints must be hinges and slides among {', '.join(named) or 'those with names'}, got "
             f"{', '.join(unknown) or 'none'}"
         )
+    if len(set(joints)) < len(joints):
+        raise ValueError(f"joints must be different ones, got {', '.join(joints)}")
 
 
-def _choose_actuators(
-    spec: mujoco.MjSpec, actions: Sequence[str] | Mapping[str, tuple[float, float]] | None
-) -> None:
-    """Keep the actuators that are actions, with their ranges."""
-    known = {actuator.name: actuator for actuator in spec.actuators}
-    names = list(known) if actions is None else list(actions)
-    if unknown := [name for name in names if name not in known]:
-        raise ValueError(
-            f"actions must be actuators among {', '.join(known)}, got {', '.join(unknown)}"
-        )
-    for name, actuator in known.items():
-        if name not in names:
-            spec.delete(actuator)
-        elif isinstance(actions, Mapping):
-            actuator.ctrllimited, actuator.ctrlrange = True, actions[name]
+def _start(
+    model: mujoco.MjModel, joints: tuple[str, ...], start: Start
+) -> tuple[int | None, Array | None]:
+    """Number of the keyframe, and the positions (J,) of the joints if they are given."""
+    keyframe = 0 if model.nkey else None
+    names = [model.key(number).name for number in range(model.nkey)]
+    if start is None:
+        return keyframe, None
+    if isinstance(start, str | int):
+        number = names.index(start) if start in names else start
+        if number not in range(model.nkey):
+            known = ", ".join(name or str(number) for number, name in enumerate(names)) or "none"
+            raise ValueError(f"start must be one of the model's keyframes, {known}, got {start!r}")
+        return int(number), None
+    positions = torch.as_tensor(start, dtype=torch.float64)
+    if positions.shape != (len(joints),) or not positions.isfinite().all():
+        raise ValueError(f"start must be {len(joints)} finite positions, got {positions.tolist()}")
+    return keyframe, positions.numpy()
 
 
-def _call_servos_as_their_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    for actuator, kind in zip(spec.actuators, actuator_kinds(model), strict=True):
-        if kind == "position" and actuator.trntype == OF_JOINT:
-            actuator.name = actuator.target
+def _gives(keyframe: mujoco.MjsKey) -> tuple[bool, bool]:
+    """Whether a keyframe has controls, and whether it has activations."""
+    return len(keyframe.ctrl) > 0, len(keyframe.act) > 0
 
 
 def _add_camera(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

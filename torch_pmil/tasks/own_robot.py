@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
@@ -12,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.recovered_states import rates_of, recover_states, without_turns
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import (
@@ -46,6 +48,8 @@ LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of al
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
+ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 s at 30 Hz
+TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
@@ -83,8 +87,8 @@ def own_robot(
     - A success is a rollout within twice the standard deviation of the demonstrations (noise
       included) of their mean, in root mean square over all entries and times.
 
-    Actions that have the names of entries of the state are targets of these entries, so the first
-    policy holds the robot where it is.
+    Actions that have the names of entries of the state, and not another unit, are targets of these
+    entries, so the first policy holds the robot where it is.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium, or a
@@ -138,6 +142,7 @@ def own_robot(
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot = _robot(env, control_period, observed, steps_per_action)
+    control_period = robot.control_period
     if robot.dim != len(space.names):
         raise ValueError(
             f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
@@ -165,7 +170,8 @@ def own_robot(
     chosen = {name: value for name, value in settings.items() if name not in of_task}
     noise_std = torch.as_tensor(given.pop("noise_std", _noise(shown)), dtype=torch.float64)
     marginals = expert_distribution(shown, noise_std)
-    held = _held(adapted.action_names, space.names)
+    by_name = _held(actions_of(adapted), space)
+    held = robot.held if isinstance(robot, MujocoRobot) else by_name
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
@@ -205,7 +211,8 @@ def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tens
 def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int | None) -> Robot:
     if not isinstance(env, MujocoRobot):
         return OneRobot(env, control_period, _pairs(observed), steps)
-    if env.control_period != control_period or steps not in (None, 1):
+    same = math.isclose(env.control_period, control_period, rel_tol=ROUNDED)
+    if not same or steps not in (None, 1):
         raise ValueError(
             f"control_period must be that of the robot, {env.control_period:g} s, got "
             f"{control_period:g} s"
@@ -293,11 +300,14 @@ def _at_control_rate(
     return synchronise(recorded, control_period, shown)
 
 
-def _held(actions: Sequence[str], state: Sequence[str]) -> Callable[[Tensor], Tensor] | None:
-    """Actions that hold a robot whose servos take targets of entries of the state."""
-    if not set(actions) <= set(state):
+def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor] | None:
+    """Actions that hold a robot whose servos take targets of entries of the state, in its units."""
+    if not set(actions.names) <= set(state.names):
         return None
-    entries = [state.index(name) for name in actions]
+    entries = [state.names.index(name) for name in actions.names]
+    for unit, entry in zip(actions.units, entries, strict=True):
+        if unit and unit not in ((state.units[entry],) if state.units[entry] else TARGET_UNITS):
+            return None
     return lambda states: states[..., entries]
 
 

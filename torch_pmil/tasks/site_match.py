@@ -32,7 +32,7 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
 
     Args:
         robot: whose observed joints are hinges between the world and the site. Other joints are
-            taken to stay where the model has them.
+            taken to stay where they start.
         site: its name in the model.
         orientation: whether the axes are compared as well as the place.
 
@@ -40,7 +40,8 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
         Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: its axes.
 
     Raises:
-        ValueError: there is no such site, or an observed slide moves it.
+        ValueError: there is no such site, or an observed slide moves it, or a hidden joint that
+            follows others.
 
     Example:
         >>> import torch
@@ -78,7 +79,15 @@ def _frame(robot: MujocoRobot, body: int) -> tuple[Polynomials, Polynomials]:
         turned = turned @ _constants(_matrix(model.body_quat[number]), count)
         first = model.body_jntadr[number]
         for joint in range(first, first + model.body_jntnum[number]):
-            about = _rotation(robot, joint)
+            if model.joint(joint).name not in robot.joints:
+                rotation, by = _where_it_stays(robot, joint)
+                about, shift = _constants(rotation, count), _constants(by, count)
+                if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+                    moved, turned = shift, about
+                    continue
+                moved = moved + turned @ shift
+            else:
+                about = _rotation(robot, joint)
             anchor = _constants(model.jnt_pos[joint], count)
             moved = moved + turned @ (anchor + about @ (-1.0 * anchor))
             turned = turned @ about
@@ -93,12 +102,10 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 def _rotation(robot: MujocoRobot, joint: int) -> Polynomials:
     r"""Rotation about a hinge's axis a, :math:`aa^\top + \cos q (I - aa^\top) + \sin q [a]_\times`.
 
-    The angle counts from the model's reference, where a joint that is not observed stays.
+    The angle counts from the model's reference.
     """
     model, count = robot.model, len(robot.joints)
     name, axis = model.joint(joint).name, model.jnt_axis[joint]
-    if name not in robot.joints:
-        return _constants(np.eye(3), count)
     if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
         raise ValueError(f"match by a site needs hinges on the way to it, got the slide {name}")
     along = np.outer(axis, axis)
@@ -108,6 +115,30 @@ def _rotation(robot: MujocoRobot, joint: int) -> Polynomials:
     even = np.cos(reference) * (np.eye(3) - along) - np.sin(reference) * across
     odd = np.sin(reference) * (np.eye(3) - along) + np.cos(reference) * across
     return _constants(along, count) + _times(even, cosine(angle)) + _times(odd, sine(angle))
+
+
+def _where_it_stays(
+    robot: MujocoRobot, joint: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rotation (3, 3) and shift (3,) by a hidden joint, which stays where it starts."""
+    model, quaternion = robot.model, np.eye(4)[0]
+    kind = model.jnt_type[joint]
+    if robot.whole_start.follows(joint):
+        raise ValueError(
+            "match by a site needs joints on the way to it that are observed or stay, got "
+            f"{model.joint(joint).name or joint}, which follows others by an equality"
+        )
+    first, axis, shift = model.jnt_qposadr[joint], model.jnt_axis[joint], np.zeros(3)
+    place = robot.whole_start.qpos[first:]
+    if kind == mujoco.mjtJoint.mjJNT_HINGE:
+        mujoco.mju_axisAngle2Quat(quaternion, axis, place[0] - model.qpos0[first])
+    elif kind == mujoco.mjtJoint.mjJNT_SLIDE:
+        shift = axis * (place[0] - model.qpos0[first])
+    elif kind == mujoco.mjtJoint.mjJNT_BALL:
+        quaternion = place[:4]
+    else:
+        shift, quaternion = place[:3], place[3:7]
+    return _matrix(quaternion), shift
 
 
 def _times(matrix: NDArray[np.float64], wave: TrigonometricPolynomial) -> Polynomials:

@@ -271,7 +271,8 @@ def test_stopped_run_is_not_overwritten_by_the_same_command(
         patch.setattr(trial_search, "search_policy", lambda *args, **options: sys.exit("power cut"))
         script("trials=1", "seed=2", "out=run")
     assert error_of(script, "trials=1", "seed=2", "out=run") == (
-        "run holds a run that was stopped: go on with resume=true, or remove run/checkpoints"
+        "run holds a run that was stopped: go on with resume=true, choose another out, or remove "
+        "run/checkpoints/checkpoint-*.torchrl"
     )
 
 

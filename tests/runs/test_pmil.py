@@ -81,7 +81,7 @@ def test_the_policy_is_a_function_is_saved_and_is_measured_once_it_is_learned(
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ({"resume": "maybe"}, "resume must be True or False, got 'maybe'"),
+        ({"resume": "maybe"}, "resume must be True, False or the folder of a run, got 'maybe'"),
         ({"overwrite": 1}, "overwrite must be True or False, got 1"),
         ({"seed": -1}, "seed must be a whole number from 0 to"),
         ({"trials": "3"}, "trials must be a whole number of at least 1, got '3'"),

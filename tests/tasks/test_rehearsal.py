@@ -11,8 +11,9 @@ import torch
 from torchrl.envs import RewardSum, TransformedEnv, VecNormV2
 from torchrl.envs.libs.gym import GymWrapper
 
-from torch_pmil import Demonstrations
+from torch_pmil import Demonstrations, Task
 from torch_pmil.tasks.own_robot import own_robot
+from torch_pmil.tasks.rehearsal import rehearse
 
 gymnasium = pytest.importorskip("gymnasium")
 wrappers = gymnasium.wrappers
@@ -81,10 +82,13 @@ def normed(env: gymnasium.Env) -> TransformedEnv:
     return TransformedEnv(GymWrapper(env), VecNormV2(**keys))
 
 
-def made(env: Any, state: tuple[str, ...] = STATE, period: float = 0.05, **said: Any) -> object:
+def made(env: Any, state: tuple[str, ...] = STATE, period: float = 0.05, **said: Any) -> Task:
     time = torch.linspace(0, 1, 21, dtype=torch.float64)
     shown = torch.stack([(1 + 0.05 * k) * time for k in range(3)])[..., None].expand(-1, -1, 2)
-    return own_robot(env, Demonstrations(shown, period, ("q1", "q2")), period, state=state, **said)
+    shown = Demonstrations(shown, period, ("q1", "q2"))
+    task = own_robot(env, shown, period, state=state, **said)
+    rehearse(task)
+    return task
 
 
 @pytest.mark.parametrize(
@@ -169,3 +173,26 @@ def test_an_action_lasts_a_control_period(dt: object, period: float, said: dict)
     for _ in range(8):
         env.step(env.rand_action())
     assert len(calls) == round(8 * period / 0.05)
+
+
+@pytest.mark.parametrize("past", [{}, {"past_actions": 1}])
+def test_robot_is_tried_within_its_first_motion_and_its_box(past: dict) -> None:
+    """Making the task moves nothing; the try is no larger than the first motion, and ends."""
+    sent, robot = [], TwoJoints(noise=0.0)
+    step = robot.step
+    robot.step = lambda action: (sent.append(float(np.abs(action).max())), step(action))[1]
+    shown = Demonstrations(torch.linspace(0, 1, 21).expand(3, 2, -1).mT, 0.05, ("q1", "q2"))
+    said = {"random_action": 0.1, "box": {"q1": (-10.0, 10.0)}, **past}
+    task = own_robot(robot, shown, 0.05, state=STATE, **said)
+    assert sent == []
+    rehearse(task)
+    assert len(sent) == 100 and max(sent) <= 0.1 * float(robot.action_space.high.max())
+    sent.clear()
+    rehearse(own_robot(robot, shown, 0.05, state=STATE, box={"q1": (-0.3, 0.3)}, **past))
+    assert len(sent) < 100
+
+
+def test_hidden_velocities_are_not_compared() -> None:
+    with pytest.raises(ValueError, match=r"got -0\.998 times"):
+        made(TwoJoints((1, 1, 1, -1), noise=0.001))
+    made(TwoJoints((1, 1, 1, -1), noise=0.001), positions_only=True, past_actions=1)

@@ -78,9 +78,13 @@ class PMIL:
             TypeError, ValueError: an argument is of another kind or out of range, or the folder
                 holds another run.
         """
-        for name, value in (("resume", resume), ("overwrite", overwrite)):
-            if not isinstance(value, bool):
-                raise TypeError(f"{name} must be True or False, got {short(value)}")
+        if not isinstance(overwrite, bool):
+            raise TypeError(f"overwrite must be True or False, got {short(overwrite)}")
+        of_run = isinstance(resume, str | os.PathLike) and Path(resume, "run.json").is_file()
+        if not (isinstance(resume, bool) or of_run):
+            raise ValueError(
+                f"resume must be True, False or the folder of a run, got {short(resume)}"
+            )
         check_whole("trials", trials, 1)
         check_whole("seed", seed, *SEEDS)
         if not (out is None or isinstance(out, str | os.PathLike)) or out == "":

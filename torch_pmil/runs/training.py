@@ -38,6 +38,7 @@ from torch_pmil.runs.run_folder import (
 from torch_pmil.runs.same_robot import motion_of, moves_alike
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.rehearsal import rehearse
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import (
     RunRotation,
@@ -131,6 +132,7 @@ def train(
     check_whole("trials", trials, 1, MOST_TRIALS)
     check_resume(resume is True, overwrite)
     check_logger(logger)
+    rehearse(task)
     identity = _identity(task, seed)
     rotation = rotation_in(out / "checkpoints", identity)
     rotation.announce = lambda name: own(out, f"checkpoints/{name}")

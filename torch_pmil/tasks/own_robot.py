@@ -35,7 +35,6 @@ from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
-from torch_pmil.tasks.rehearsal import rehearse
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
@@ -190,8 +189,6 @@ def own_robot(
     if task.promised is None:
         chosen = {"confirmations": CONFIRMATIONS, **chosen}
     task = task.with_settings(**chosen)
-    if task.evaluated and not robot.physical:
-        rehearse(task, robot)
     if not (past_entries or past_actions or positions_only):
         return task
     return with_history(

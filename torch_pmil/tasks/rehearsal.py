@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from torch import Tensor
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.layers import counted, unrepeatable_layer, wrappers_of
+from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, length_of_step
 from torch_pmil.seeds import Stream
 from torch_pmil.tasks.task import Task
@@ -27,37 +29,58 @@ EXPLAINS = 0.3  # the same if the velocity is scaled
 CLEAR = 5.0  # change of a position in standard deviations of its noise
 
 
-def rehearse(task: Task, robot: object) -> None:
-    """Try a simulated robot with slow actions, twice from the same seed. This is no experience.
+def rehearse(task: Task) -> None:
+    """Try one's own simulated robot with slow actions, twice from one seed. This is no experience.
+
+    The actions are at most as large as those of the first motion, and ``box`` ends the motion. A
+    robot that is not measured from fresh starts, such as a physical one, is not moved.
 
     Raises:
         ValueError: the robot resets itself, changes from reset to reset, holds each action for
             another time than the control period, or an entry dNAME is another one than the velocity
             of NAME.
     """
+    made: Any = task.make_env
+    robot = made if task.history is None else made.args[0]
+    if not (task.evaluated and isinstance(robot, OneRobot | MujocoRobot)):
+        return
+    with torch.random.fork_rng(devices=[]):
+        _rehearse(task, robot)
+
+
+def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
     actions = _slow_actions(task)
     if isinstance(robot, OneRobot):
         with counted(robot.env) as calls:
             states = _tried(task, actions, calls.clear)
-        _check_steps(robot, calls["step"] / STEPS, calls["reset"])
+        _check_steps(robot, calls["step"] / (len(states) - 1), calls["reset"])
     else:
         states = _tried(task, actions)
-    again = _tried(task, actions)
+    again = _tried(task, actions)[: len(states)]
+    states = states[: len(again)]
     scale = states.abs().amax(0).clamp(min=ALIKE)
     apart = ((again - states) / scale).abs()
     if (apart > ALIKE).any():
         _check_drift(task, robot, actions[:SHORT])
-    check_velocities(states, task.space, task.demonstrations.time_step)
+    if len(states) <= WINDOW + 1:
+        return
+    hidden = task.history.hidden if task.history else ()
+    check_velocities(states, task.space, task.demonstrations.time_step, hidden)
 
 
-def check_velocities(states: Tensor, space: StateSpace, period: float) -> None:
-    """Compare velocities dNAME with the changes of NAME along states (T + 1, D).
+def check_velocities(
+    states: Tensor, space: StateSpace, period: float, hidden: Collection[str] = ()
+) -> None:
+    """Compare velocities dNAME, unless they are hidden, with the changes of NAME along states.
+
+    The states are (T + 1, D).
 
     Raises:
         ValueError: another reading of the names or of their units explains the changes.
     """
     names, change = space.names, states.diff(dim=0)
-    sums, rates = period * (states[:-1] + states[1:]) / 2, rates_of(space.names)
+    sums = period * (states[:-1] + states[1:]) / 2
+    rates = {k: of for k, of in rates_of(names).items() if names[k] not in hidden}
     for rate, position in rates.items():
         if position in space.angles:  # which may have been continued by a wrong velocity
             apart = _within_half_a_turn(change[:, position] - sums[:, rate])
@@ -118,20 +141,25 @@ def _slow_actions(task: Task) -> Tensor:
     around = space.middle
     if task.holding_actions is not None:
         around = task.holding_actions(task.initial.mean[None])[0]
+    reach = min(REACH, getattr(task.method.exploration, "random_action", REACH))
     cycles = 1 + torch.arange(count, dtype=torch.float64) / count
     phases = 2 * math.pi * cycles * torch.arange(1, STEPS + 1)[:, None] / STEPS
-    return (around + REACH * space.half_range * phases.sin()).clamp(space.low, space.high)
+    return (around + reach * space.half_range * phases.sin()).clamp(space.low, space.high)
 
 
 def _tried(task: Task, actions: Tensor, begun: Callable[[], None] = lambda: None) -> Tensor:
-    """States (T + 1, D) from a reset by always the same seed."""
+    """States (T + 1, D) from a reset by always the same seed, until they leave the box."""
     env = task.robot(Stream.REHEARSAL)
+    if task.state_box is not None:
+        env.guard = task.state_box.guard
     step = env.reset()
     begun()
     states = [step["observation"]]
     for action in actions:
         step = env.step(step.set("action", action))["next"]
         states.append(step["observation"])
+        if env.cut_short:
+            break
     return torch.stack(states)
 
 

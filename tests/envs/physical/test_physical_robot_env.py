@@ -33,6 +33,17 @@ def constant(*action: float) -> Policy:
     return lambda tensordict: tensordict.set("action", torch.tensor(action, dtype=torch.float64))
 
 
+@pytest.fixture(autouse=True)
+def ordinary_signals() -> Iterator[None]:
+    """A shell's background jobs ignore these two, and what is ignored stays so."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGQUIT)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture
 def make_env() -> Iterator[Make]:
     """Environments that are closed after the test."""

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace
 
-STAYING = 1e-3  # weight of an entry's change between samples, beside that of the observation
+STAYING = 1e-3  # weight of an entry's change between samples, beside what the change shows
 
 
 def rates_of(names: tuple[str, ...]) -> dict[int, int]:
@@ -55,7 +55,8 @@ def recover_states(
         >>> bool((found - torch.stack([q, torch.ones(41)], -1)).abs().max() < 1e-4)
         True
     """
-    states = torch.stack([_solved(match_space, each, start.double()) for each in observed])
+    sizes = _sizes(match_space, observed)
+    states = torch.stack([_solved(match_space, each, start.double(), *sizes) for each in observed])
     shown = _shown_entries(match_space)
     for rate, position in rates.items():
         if rate not in shown:
@@ -84,22 +85,42 @@ def without_turns(states: Tensor, start: Tensor, angles: Sequence[int]) -> Tenso
     return states - 2 * math.pi * turns
 
 
-def _solved(match_space: MatchSpace, observed: Tensor, start: Tensor) -> Tensor:
-    """States (T + 1, D) that show one trajectory (T + 1, M)."""
-    scale = observed.std() if len(observed) > 1 and observed.std() > 0 else torch.ones(())
-    state, states = start.numpy(), []
+def _solved(
+    match_space: MatchSpace, observed: Tensor, start: Tensor, shown: Tensor, changes: Tensor
+) -> Tensor:
+    """States (T + 1, D) that show one trajectory (T + 1, M); the last two are :func:`_sizes`."""
+    state, states = start, []
     for sample in observed:
 
         def residual(
-            change: np.ndarray, sample: Tensor = sample, before: np.ndarray = state
+            change: np.ndarray, sample: Tensor = sample, before: Tensor = state
         ) -> np.ndarray:
-            apart = (match_space(torch.from_numpy(before + change)) - sample) / scale
-            return np.concatenate([apart.numpy(), STAYING * change])
+            apart = match_space(before + changes * torch.from_numpy(change)) - sample
+            return np.concatenate([(apart / shown).numpy(), STAYING * change])
 
         # the unknown is the change, which begins at zero: steps of the search are relative
-        state = state + least_squares(residual, np.zeros_like(state)).x
-        states.append(torch.from_numpy(state))
+        found = least_squares(residual, np.zeros(len(state))).x
+        state = state + changes * torch.from_numpy(found)
+        states.append(state)
     return torch.stack(states)
+
+
+def _sizes(match_space: MatchSpace, observed: Tensor) -> tuple[Tensor, Tensor]:
+    """Sizes of observed entries (M,) and of changes of the state (D,), whatever their units.
+
+    An entry that shows angles is compared with its largest lever, another with its spread. A state
+    changes by a radian, or by what changes an observed entry by its size.
+    """
+    D = match_space.angles.shape[-1]
+    weights = match_space.weights.abs().double()
+    flat = observed.flatten(0, -2)
+    shown = torch.zeros(len(weights), dtype=torch.float64)
+    for size in (weights[:, D:].sum(-1), flat.std(0), flat.abs().amax(0), torch.ones(())):
+        shown = torch.where(shown > 0, shown, size)
+    seen = (weights[:, :D] / shown[:, None]).amax(0)
+    turned = match_space.angles.abs().double().sum(0)
+    seen = torch.where(turned > 0, turned, seen)
+    return shown, 1 / torch.where(seen > 0, seen, 1.0)
 
 
 def _shown_entries(match_space: MatchSpace) -> set[int]:

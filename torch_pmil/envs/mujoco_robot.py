@@ -129,6 +129,14 @@ class MujocoRobot:
         return self.joints + tuple(f"d{name}" for name in self.joints)
 
     @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Lowest and highest value of each entry of the state, infinite if unknown."""
+        unknown = (-math.inf, math.inf)
+        joints = [self.model.joint(name) for name in self.joints]
+        known = [tuple(each.range.tolist()) if each.limited[0] else unknown for each in joints]
+        return known + [unknown] * len(joints)
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Units of the entries of the state."""
         turns = [self.model.joint(name).type[0] == HINGE for name in self.joints]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from tensordict.utils import NestedKey
+from torchrl.data import Bounded
 from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
@@ -119,6 +120,14 @@ class OneRobot:
     def dim(self) -> int:
         """Number of entries of its state."""
         return self(seed=0).observation_spec["observation"].shape[-1]
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Lowest and highest value of each observed entry, infinite if unknown."""
+        spec = self.env.observation_spec[self._observation]
+        if not isinstance(spec, Bounded):
+            return [(-math.inf, math.inf)] * spec.shape[-1]
+        return list(zip(spec.space.low.tolist(), spec.space.high.tolist(), strict=True))
 
     def _made(self, from_pixels: bool = False) -> EnvBase:
         if not from_pixels or "pixels" in self.env.observation_spec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -37,13 +38,16 @@ from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.unit_checks import check_units
 from torch_pmil.tasks.with_history import with_history
 
 STARTS = 20  # resets by which p(x_0) is estimated
 LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
 LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
-LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of all ranges
+LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
+STILL = 0.1  # of that range; entries of unknown units that change less are warned of
+UNMOVED = 1e-6  # standard deviation of the start of an entry that is always 0
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
@@ -80,7 +84,7 @@ def own_robot(
       demonstrations' starts, with a standard deviation of at least 5 % of the demonstrated values.
     - The range of the actions is that of the environment.
     - The observation noise is 5 % of each entry's demonstrated range; for an entry that hardly
-      changes, 1 % of the largest range.
+      changes, 1 % of the largest range of the entries of its unit.
     - The demonstrated states come from
       :func:`~torch_pmil.control.recovered_states.recover_states`.
     - A success is a rollout within twice the standard deviation of the demonstrations (noise
@@ -153,6 +157,9 @@ def own_robot(
         beside = starts[0] if near is None else near
         starts = without_turns(starts[:, None], beside, space.angles)[:, 0]
         near = starts.mean(0)
+    by_entry = {} if starts is None else dict(zip(space.names, starts.mT, strict=True))
+    bounds = dict(zip(observed, robot.bounds, strict=True))
+    check_units(recorded, dict(zip(space.names, space.units, strict=True)), by_entry, bounds)
     recorded = on_one_turn(recorded, space, near)
     if near is None:
         near = torch.zeros(space.dim, dtype=torch.float64)
@@ -167,7 +174,9 @@ def own_robot(
     of_task = {entry.name for entry in fields(Task)}
     given = {name: value for name, value in settings.items() if name in of_task}
     chosen = {name: value for name, value in settings.items() if name not in of_task}
-    noise_std = torch.as_tensor(given.pop("noise_std", _noise(shown)), dtype=torch.float64)
+    noise_std = torch.as_tensor(
+        given.pop("noise_std", _noise(shown, space.match_space.units)), dtype=torch.float64
+    )
     marginals = expert_distribution(shown, noise_std)
     by_name = _held(actions_of(adapted), space)
     held = robot.held if isinstance(robot, MujocoRobot) else by_name
@@ -308,11 +317,22 @@ def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor]
     return lambda states: states[..., entries]
 
 
-def _noise(shown: Demonstrations) -> Tensor:
+def _noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
     """Standard deviations (M,) of the observation noise."""
     low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
     span = high - low
-    return NOISE * span.clamp(min=LEAST_RANGE * span.max())
+    alike = torch.tensor([[one == other for other in units] for one in units])
+    largest = (alike * span).amax(-1)  # of the same unit
+    for entry in (STILL * LEAST_RANGE * largest > span).nonzero().flatten().tolist():
+        if not units[entry]:
+            warnings.warn(
+                f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
+                f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
+                "if theirs differ, or noise_std",
+                UserWarning,
+                stacklevel=4,
+            )
+    return NOISE * span.maximum(LEAST_RANGE * largest)
 
 
 def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
@@ -325,4 +345,5 @@ def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
     if starts is None:
         starts, share = states[:, 0], LEAST_START_BY_HAND
     least = share * states.flatten(0, -2).abs().amax(0)
-    return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))
+    std = starts.std(0).maximum(least)
+    return independent_start(starts.mean(0), torch.where(std > 0, std, UNMOVED))

@@ -18,6 +18,7 @@ from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, length_of_step
 from torch_pmil.seeds import Stream
 from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.unit_checks import check_motion
 
 STEPS, WINDOW = 50, 5  # of a try, and over which changes are compared
 REACH = 0.4  # of the actions, in halves of their range
@@ -64,6 +65,8 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
         _check_drift(task, robot, actions[:SHORT])
     if len(states) <= WINDOW + 1:
         return
+    for doubt in check_motion(*_ranges(task, states)):
+        warnings.warn(doubt, RuntimeWarning, stacklevel=4)
     hidden = task.history.hidden if task.history else ()
     check_velocities(states, task.space, task.demonstrations.time_step, hidden)
 
@@ -126,6 +129,25 @@ def check_velocities(
         )
 
 
+def _ranges(task: Task, tried: Tensor) -> tuple[dict, dict, dict, float]:
+    """Recorded ranges, motions of the try, and units; how much further the robot could move."""
+    space, shown, recorded = task.space, tried.amax(0) - tried.amin(0), task.demonstrations
+    low, high = recorded.positions.flatten(0, 1).aminmax(dim=0)
+    both = {name: index for index, name in enumerate(recorded.names) if name in space.names}
+    entries = {name: space.names.index(name) for name in both}
+    return (
+        {name: (low[index].item(), high[index].item()) for name, index in both.items()},
+        {name: shown[entry].item() for name, entry in entries.items()},
+        {name: space.units[entry] for name, entry in entries.items()},
+        max(1.0, task.horizon / STEPS) * REACH / _reach(task),
+    )
+
+
+def _reach(task: Task) -> float:
+    """Of the actions, in halves of their range; no larger than in the first motion."""
+    return min(REACH, getattr(task.method.exploration, "random_action", REACH))
+
+
 def _within_half_a_turn(angle: Tensor) -> Tensor:
     return torch.atan2(angle.sin(), angle.cos())
 
@@ -141,10 +163,9 @@ def _slow_actions(task: Task) -> Tensor:
     around = space.middle
     if task.holding_actions is not None:
         around = task.holding_actions(task.initial.mean[None])[0]
-    reach = min(REACH, getattr(task.method.exploration, "random_action", REACH))
     cycles = 1 + torch.arange(count, dtype=torch.float64) / count
     phases = 2 * math.pi * cycles * torch.arange(1, STEPS + 1)[:, None] / STEPS
-    return (around + reach * space.half_range * phases.sin()).clamp(space.low, space.high)
+    return (around + _reach(task) * space.half_range * phases.sin()).clamp(space.low, space.high)
 
 
 def _tried(task: Task, actions: Tensor, begun: Callable[[], None] = lambda: None) -> Tensor:

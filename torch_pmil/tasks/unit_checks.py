@@ -1,0 +1,162 @@
+"""Whether recordings are in the robot's units, as far as robot and recordings show it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
+
+DEGREES = 180 / math.pi
+FACTORS = {"rad": {DEGREES: "degrees"}, "m": {1e3: "millimetres", 100: "centimetres"}}
+THOUSANDTHS = {1e3: "thousandths of its unit", 1e6: "millionths of its unit"}
+ALIKE = 0.05  # relative difference of two numbers that count as equal
+FAR = 10.0  # standard deviations from 0 of a start whose unit shows
+BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
+MOVED = 20.0  # times the motion of a robot that was tried; a stronger motion is doubted
+
+
+def check_units(
+    recorded: Demonstrations | Recordings,
+    units: Mapping[str, str],
+    starts: Mapping[str, Tensor],
+    limits: Mapping[str, tuple[float, float]],
+) -> None:
+    """Compare recorded entries with what the robot says of the entries of the same names.
+
+    Args:
+        recorded: as read.
+        units: of the state's entries; "" if unknown.
+        starts: values of each entry in the robot's starts, (S,).
+        limits: lowest and highest value of each entry, infinite if unknown.
+
+    Raises:
+        DemonstrationError: an entry is in another unit than the robot's, beyond doubt: it goes far
+            beyond its limits, begins at a multiple of the robot's start, or is not the change of
+            another entry recorded beside it but a multiple of that.
+
+    Example:
+        >>> shown = 57.3 * torch.linspace(0, 1, 21).expand(3, 21)[..., None]
+        >>> try:
+        ...     check_units(Demonstrations(shown, 0.1, ("q",)), {"q": "rad"}, {}, {"q": (-3, 3)})
+        ... except DemonstrationError as error:
+        ...     print(str(error).partition(":")[0])
+        q looks like degrees
+    """
+    for name in recorded.names:
+        values = [each[:, recorded.names.index(name)] for each in _values(recorded)]
+        unit = units.get(name, "")
+        if name in limits:
+            _check_limits(name, torch.cat(values), limits[name], unit)
+        if name in starts:
+            _check_starts(name, torch.stack([each[0] for each in values]), starts[name], unit)
+        if f"d{name}" in recorded.names:
+            _check_rate(recorded, name, units.get(f"d{name}", ""))
+
+
+def looks_like(name: str, factor: float, unit: str, alike: float = ALIKE) -> str:
+    """The unit of numbers that are ``factor`` times too large, as ``"q looks like degrees"``.
+
+    Example:
+        >>> looks_like("q", 57.3, "rad"), looks_like("x", 0.001, "mm"), looks_like("x", 2.0, "m")
+        ('q looks like degrees', 'x looks like a unit 1000 times larger', '')
+    """
+    of, _, per = unit.partition("/")
+    times, what = min(_factors(of), key=lambda one: abs(abs(math.log(factor)) - math.log(one[0])))
+    if abs(abs(math.log(factor)) - math.log(times)) > math.log1p(alike):
+        return ""
+    if factor < 1:
+        return f"{name} looks like a unit {times:.4g} times larger"
+    return f"{name} looks like {what}" + (f" per {per}" if per else "")
+
+
+def _factors(unit: str) -> list[tuple[float, str]]:
+    """How many times larger numbers are in smaller units, and which, from the least on."""
+    known = FACTORS.get(unit) or (FACTORS["rad"] if not unit else {})
+    return sorted((THOUSANDTHS | known).items())
+
+
+def check_motion(
+    task_range: Mapping[str, tuple[float, float]],
+    moved: Mapping[str, float],
+    units: Mapping[str, str],
+    times: float = 1.0,
+) -> list[str]:
+    """Doubts of entries that were recorded over far more than the robot moved when it was tried.
+
+    Example:
+        >>> check_motion({"q": (0.0, 57.3)}, {"q": 0.6}, {"q": "rad"})[0][:40]
+        'q looks like degrees: recorded from 0 to'
+    """
+    doubts = []
+    for name, (low, high) in task_range.items():
+        if not 0 < MOVED * times * moved.get(name, 0.0) < high - low:
+            continue
+        larger = (high - low) / moved[name]
+        what = looks_like(name, larger, units[name], 7.0) or f"{name} may be in another unit"
+        doubts.append(
+            f"{what}: recorded from {low:.3g} to {high:.3g}, where the robot moved within "
+            f"{moved[name]:.3g} {units[name]}".rstrip()
+            + " when it was tried with slow actions"
+        )
+    return doubts
+
+
+def _values(recorded: Demonstrations | Recordings) -> list[Tensor]:
+    of_one = recorded.positions if isinstance(recorded, Demonstrations) else recorded.values
+    return list(of_one)
+
+
+def _check_limits(name: str, values: Tensor, limits: tuple[float, float], unit: str) -> None:
+    low, high = values.min().item(), values.max().item()
+    largest, allowed = max(abs(low), abs(high)), max(map(abs, limits))
+    if not 0 < BEYOND * allowed < largest:
+        return
+    fits = [what for times, what in _factors(unit) if largest / times <= allowed]
+    what = f"{name} looks like {fits[0]}" if fits else f"{name} is in another unit"
+    raise DemonstrationError(
+        f"{what}: recorded from {low:.3g} to {high:.3g}, where the robot moves within "
+        f"{limits[0]:.3g} to {limits[1]:.3g} {unit}".rstrip()
+        + "; convert the recordings"
+    )
+
+
+def _check_starts(name: str, first: Tensor, starts: Tensor, unit: str) -> None:
+    ours, theirs = starts.mean().item(), first.mean().item()
+    spread = starts.std().item() if len(starts) > 1 else 0.0
+    if ours == 0 or abs(ours) < FAR * spread or not 0 < theirs / ours < math.inf:
+        return
+    if first.std() > ALIKE * abs(theirs):
+        return
+    if what := looks_like(name, theirs / ours, unit):
+        raise DemonstrationError(
+            f"{what}: recordings begin at {theirs:.4g}, where the robot starts at {ours:.4g} "
+            f"{unit}".rstrip()
+            + "; convert the recordings"
+        )
+
+
+def _check_rate(recorded: Demonstrations | Recordings, name: str, unit: str) -> None:
+    """Refuse a recorded velocity that is a known multiple of its position's changes."""
+    at, rate = recorded.names.index(name), recorded.names.index(f"d{name}")
+    changes, sums = [], []
+    for number, values in enumerate(_values(recorded)):
+        if isinstance(recorded, Demonstrations):
+            steps: Tensor | float = recorded.time_step
+        else:
+            steps = recorded.times[number].diff()
+        changes.append(values[:, at].diff())
+        sums.append(steps * (values[:-1, rate] + values[1:, rate]) / 2)
+    change, summed = torch.cat(changes), torch.cat(sums)
+    if not (change.any() and summed.any()):
+        return
+    factor = ((summed @ summed) / (summed @ change)).item()
+    explained = (change * factor - summed).square().sum() < ALIKE * summed.square().sum()
+    if explained and factor > 0 and (what := looks_like(f"d{name}", factor, unit)):
+        raise DemonstrationError(
+            f"{what}: it is {factor:.4g} times the recorded change of {name}; convert the "
+            "recordings"
+        )

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import warnings
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -19,13 +16,8 @@ from torch_pmil.control.recovered_states import rates_of, recover_states, withou
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import (
     DemonstrationError,
-    Demonstrations,
-    Recordings,
-    load_recordings,
 )
 from torch_pmil.demonstrations.distribution import expert_distribution
-from torch_pmil.demonstrations.preparation.synchronisation import synchronise
-from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
@@ -35,6 +27,7 @@ from torch_pmil.seeds import Stream
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
@@ -44,9 +37,6 @@ from torch_pmil.tasks.with_history import with_history
 STARTS = 20  # resets by which p(x_0) is estimated
 LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
 LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
-NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
-LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
-STILL = 0.1  # of that range; entries of unknown units that change less are warned of
 UNMOVED = 1e-6  # standard deviation of the start of an entry that is always 0
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
@@ -57,7 +47,6 @@ PLACE = 3  # coordinates of a site
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
 Robot = OneRobot | MujocoRobot
-Recorded = Demonstrations | Recordings | str | os.PathLike[str]
 
 
 def own_robot(
@@ -137,7 +126,7 @@ def own_robot(
         state, units, angles = state or env.names, units or env.units, angles or env.turning
         settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
     of_match = match.names if isinstance(match, MatchSpace) else () if match else state
-    recorded = _read(demonstrations, tuple(of_match))
+    recorded = read(demonstrations, tuple(of_match))
     if isinstance(match, str):
         if not isinstance(env, MujocoRobot):
             raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
@@ -165,7 +154,7 @@ def own_robot(
         near = torch.zeros(space.dim, dtype=torch.float64)
     adapted, rates = robot(), rates_of(space.names)
     velocities = {space.names[rate] for rate in rates}
-    shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
+    shown = fitting(at_control_rate(recorded, control_period, velocities), space, adapted)
     states = recover_states(space.match_space, shown.positions, control_period, near, rates)
     if isinstance(robot, OneRobot):
         robot.turning_entries = turning(
@@ -175,7 +164,7 @@ def own_robot(
     given = {name: value for name, value in settings.items() if name in of_task}
     chosen = {name: value for name, value in settings.items() if name not in of_task}
     noise_std = torch.as_tensor(
-        given.pop("noise_std", _noise(shown, space.match_space.units)), dtype=torch.float64
+        given.pop("noise_std", noise(shown, space.match_space.units)), dtype=torch.float64
     )
     marginals = expert_distribution(shown, noise_std)
     by_name = _held(actions_of(adapted), space)
@@ -224,20 +213,6 @@ def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int 
             f"{control_period:g} s"
         )
     return env
-
-
-def _read(demonstrations: Recorded, wanted: Sequence[str]) -> Demonstrations | Recordings:
-    """Recordings of the wanted entries if a file has them all, or else of all its entries."""
-    if isinstance(demonstrations, str | os.PathLike):
-        with suppress(DemonstrationError):
-            return load_recordings(demonstrations, keys=wanted)
-        return load_recordings(demonstrations)
-    if not isinstance(demonstrations, Recordings | Demonstrations):
-        raise TypeError(
-            "demonstrations must be a path, Recordings or Demonstrations, got "
-            f"{type(demonstrations).__name__}"
-        )
-    return demonstrations
 
 
 def _space(
@@ -294,18 +269,6 @@ def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], reset
     return states
 
 
-def _at_control_rate(
-    recorded: Demonstrations | Recordings, control_period: float, velocities: Collection[str]
-) -> Demonstrations:
-    """Recordings at the control period; those of several durations are aligned."""
-    if isinstance(recorded, Demonstrations):
-        return recorded
-    if not recorded.in_seconds:
-        check_times(recorded.times, control_period)
-    shown = [name for name in recorded.names if name in velocities]
-    return synchronise(recorded, control_period, shown)
-
-
 def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor] | None:
     """Actions that hold a robot whose servos take targets of entries of the state, in its units."""
     if not set(actions.names) <= set(state.names):
@@ -315,24 +278,6 @@ def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor]
         if unit and unit not in ((state.units[entry],) if state.units[entry] else TARGET_UNITS):
             return None
     return lambda states: states[..., entries]
-
-
-def _noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
-    """Standard deviations (M,) of the observation noise."""
-    low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
-    span = high - low
-    alike = torch.tensor([[one == other for other in units] for one in units])
-    largest = (alike * span).amax(-1)  # of the same unit
-    for entry in (STILL * LEAST_RANGE * largest > span).nonzero().flatten().tolist():
-        if not units[entry]:
-            warnings.warn(
-                f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
-                f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
-                "if theirs differ, or noise_std",
-                UserWarning,
-                stacklevel=4,
-            )
-    return NOISE * span.maximum(LEAST_RANGE * largest)
 
 
 def _start(starts: Tensor | None, states: Tensor) -> Gaussian:

@@ -11,12 +11,14 @@ from torch import Tensor
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 
 DEGREES = 180 / math.pi
-FACTORS = {"rad": {DEGREES: "degrees"}, "m": {1e3: "millimetres", 100: "centimetres"}}
+FACTORS = {"rad": {DEGREES: "degrees"}, "m": {1e3: "millimetres"}, "": {DEGREES: "degrees"}}
 THOUSANDTHS = {1e3: "thousandths of its unit", 1e6: "millionths of its unit"}
+HUNDREDTHS = {100.0: "hundredths of its unit"}  # where the ratio is known well
 ALIKE = 0.05  # relative difference of two numbers that count as equal
 FAR = 10.0  # standard deviations from 0 of a start whose unit shows
 BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
-MOVED = 20.0  # times the motion of a robot that was tried; a stronger motion is doubted
+MOVED = 20.0  # times the motion of a robot that was tried: a larger motion is doubted
+TURNS, MOVED_ANGLE = 4 * math.pi, 5.0  # the same of what turns so far, if it may be an angle
 
 
 def check_units(
@@ -65,7 +67,8 @@ def looks_like(name: str, factor: float, unit: str, alike: float = ALIKE) -> str
         ('q looks like degrees', 'x looks like a unit 1000 times larger', '')
     """
     of, _, per = unit.partition("/")
-    times, what = min(_factors(of), key=lambda one: abs(abs(math.log(factor)) - math.log(one[0])))
+    factors = _factors(of) + (list(HUNDREDTHS.items()) if alike == ALIKE else [])
+    times, what = min(factors, key=lambda one: abs(abs(math.log(factor)) - math.log(one[0])))
     if abs(abs(math.log(factor)) - math.log(times)) > math.log1p(alike):
         return ""
     if factor < 1:
@@ -75,12 +78,11 @@ def looks_like(name: str, factor: float, unit: str, alike: float = ALIKE) -> str
 
 def _factors(unit: str) -> list[tuple[float, str]]:
     """How many times larger numbers are in smaller units, and which, from the least on."""
-    known = FACTORS.get(unit) or (FACTORS["rad"] if not unit else {})
-    return sorted((THOUSANDTHS | known).items())
+    return sorted((THOUSANDTHS | FACTORS.get(unit, {})).items())
 
 
 def check_motion(
-    task_range: Mapping[str, tuple[float, float]],
+    recorded: Mapping[str, tuple[float, float]],
     moved: Mapping[str, float],
     units: Mapping[str, str],
     times: float = 1.0,
@@ -92,8 +94,10 @@ def check_motion(
         'q looks like degrees: recorded from 0 to'
     """
     doubts = []
-    for name, (low, high) in task_range.items():
-        if not 0 < MOVED * times * moved.get(name, 0.0) < high - low:
+    for name, (low, high) in recorded.items():
+        may_be_an_angle = units[name] in ("", "rad") and high - low > TURNS
+        least = MOVED_ANGLE if may_be_an_angle else MOVED
+        if not 0 < least * times * moved[name] < high - low:
             continue
         larger = (high - low) / moved[name]
         what = looks_like(name, larger, units[name], 7.0) or f"{name} may be in another unit"

@@ -1,0 +1,82 @@
+"""Recordings of one's own: which entries are read, at which rate, and how accurate they are."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.recovered_states import rates_of
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    Recordings,
+    load_recordings,
+)
+from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.demonstrations.time_unit import check_times
+
+NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
+LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
+STILL = 0.1  # of that range; entries of unknown units that change less are warned of
+
+Recorded = Demonstrations | Recordings | str | os.PathLike[str]
+
+
+def read(demonstrations: Recorded, wanted: Sequence[str]) -> Demonstrations | Recordings:
+    """Recordings of the wanted entries, or of those that are no velocities, if a file has them.
+
+    Otherwise all its entries are read.
+    """
+    if isinstance(demonstrations, str | os.PathLike):
+        with suppress(DemonstrationError):
+            return load_recordings(demonstrations, keys=wanted)
+        with suppress(DemonstrationError):
+            every = load_recordings(demonstrations)
+            if set(every.names) <= set(wanted):
+                return every
+        rates = rates_of(tuple(wanted))
+        with suppress(DemonstrationError):
+            places = [name for entry, name in enumerate(wanted) if entry not in rates]
+            return load_recordings(demonstrations, keys=places)
+        return load_recordings(demonstrations)
+    if not isinstance(demonstrations, Recordings | Demonstrations):
+        raise TypeError(
+            "demonstrations must be a path, Recordings or Demonstrations, got "
+            f"{type(demonstrations).__name__}"
+        )
+    return demonstrations
+
+
+def at_control_rate(
+    recorded: Demonstrations | Recordings, control_period: float, velocities: Collection[str]
+) -> Demonstrations:
+    """Recordings at the control period; those of several durations are aligned."""
+    if isinstance(recorded, Demonstrations):
+        return recorded
+    if not recorded.in_seconds:
+        check_times(recorded.times, control_period)
+    shown = [name for name in recorded.names if name in velocities]
+    return synchronise(recorded, control_period, shown)
+
+
+def noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
+    """Standard deviations (M,) of the observation noise."""
+    low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
+    span = high - low
+    alike = torch.tensor([[one == other for other in units] for one in units])
+    largest = (alike * span).amax(-1)  # of the same unit
+    for entry in (STILL * LEAST_RANGE * largest > span).nonzero().flatten().tolist():
+        if not units[entry]:
+            warnings.warn(
+                f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
+                f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
+                "if theirs differ, or noise_std",
+                UserWarning,
+                stacklevel=4,
+            )
+    return NOISE * span.maximum(LEAST_RANGE * largest)

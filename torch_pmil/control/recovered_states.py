@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace
 
-STAYING = 1e-3  # weight of an entry's change between samples, beside what the change shows
+STAYING = 3e-4  # weight of an entry's change between samples, beside what the change shows
 
 
 def rates_of(names: tuple[str, ...]) -> dict[int, int]:

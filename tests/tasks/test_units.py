@@ -19,7 +19,7 @@ from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.rehearsal import rehearse
 
 gymnasium = pytest.importorskip("gymnasium")
-SHORT = SearchSettings(mean_iterations=3, stage_iterations=2, final_iterations=2, first_horizon=15)
+SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=15)
 SERVO = """<mujoco><worldbody>
 <body><joint name="q" range="-170 170"/><geom size="0.1" pos="0.3 0 0"/>
 </body></worldbody><actuator><motor name="m" joint="q" ctrlrange="-30 30"/></actuator></mujoco>"""
@@ -77,15 +77,10 @@ def in_metres(tmp_path_factory: pytest.TempPathFactory) -> Tensor:
     return learned(1.0, tmp_path_factory.mktemp("m"))
 
 
-# powers of two are exact: what is left are logarithms of scales, and a few steps of the search
-@pytest.mark.parametrize(
-    ("unit", "atol"),
-    [(1e3, 2e-3), (1e6, 2e-3), (1e-3, 2e-3), (1e4, 2e-3), (2.0**10, 2e-5), (2.0**-20, 2e-5)],
-)
-def test_policy_does_not_depend_on_the_unit(
-    unit: float, atol: float, in_metres: Tensor, tmp_path: Path
-) -> None:
-    torch.testing.assert_close(learned(unit, tmp_path), in_metres, rtol=0, atol=atol)
+# rounding errors of the fit, which a longer search would magnify
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e-3, 1e4, 2.0**10, 2.0**-20])
+def test_policy_does_not_depend_on_the_unit(unit: float, in_metres: Tensor, tmp_path: Path) -> None:
+    torch.testing.assert_close(learned(unit, tmp_path), in_metres, rtol=0, atol=1e-6)
 
 
 def test_noise_of_an_entry_is_compared_with_its_own_unit() -> None:

@@ -27,29 +27,42 @@ STILL = 0.1  # of that range; entries of unknown units that change less are warn
 Recorded = Demonstrations | Recordings | str | os.PathLike[str]
 
 
-def read(demonstrations: Recorded, wanted: Sequence[str]) -> Demonstrations | Recordings:
-    """Recordings of the wanted entries, or of those that are no velocities, if a file has them.
+def read(
+    demonstrations: Recorded, wanted: Sequence[str], control_period: float
+) -> Demonstrations | Recordings:
+    """Recordings with times in seconds, of the wanted entries or, if a file lacks some, of others.
 
-    Otherwise all its entries are read.
+    These are all its entries, or those of the wanted ones that are no velocities.
+
+    Raises:
+        DemonstrationError: they cannot be read, or their times are plainly not seconds.
+        TypeError: they are of another kind.
     """
+    recorded = demonstrations
     if isinstance(demonstrations, str | os.PathLike):
-        with suppress(DemonstrationError):
-            return load_recordings(demonstrations, keys=wanted)
-        with suppress(DemonstrationError):
-            every = load_recordings(demonstrations)
-            if set(every.names) <= set(wanted):
-                return every
-        rates = rates_of(tuple(wanted))
-        with suppress(DemonstrationError):
-            places = [name for entry, name in enumerate(wanted) if entry not in rates]
-            return load_recordings(demonstrations, keys=places)
-        return load_recordings(demonstrations)
-    if not isinstance(demonstrations, Recordings | Demonstrations):
+        recorded = _from_file(demonstrations, wanted)
+    if not isinstance(recorded, Recordings | Demonstrations):
         raise TypeError(
             "demonstrations must be a path, Recordings or Demonstrations, got "
-            f"{type(demonstrations).__name__}"
+            f"{type(recorded).__name__}"
         )
-    return demonstrations
+    if isinstance(recorded, Recordings) and not recorded.in_seconds:
+        check_times(recorded.times, control_period)
+    return recorded
+
+
+def _from_file(path: str | os.PathLike[str], wanted: Sequence[str]) -> Recordings:
+    with suppress(DemonstrationError):
+        return load_recordings(path, keys=wanted)
+    with suppress(DemonstrationError):
+        every = load_recordings(path)
+        if set(every.names) <= set(wanted):
+            return every
+    rates = rates_of(tuple(wanted))
+    with suppress(DemonstrationError):
+        places = [name for entry, name in enumerate(wanted) if entry not in rates]
+        return load_recordings(path, keys=places)
+    return load_recordings(path)
 
 
 def at_control_rate(
@@ -58,8 +71,6 @@ def at_control_rate(
     """Recordings at the control period; those of several durations are aligned."""
     if isinstance(recorded, Demonstrations):
         return recorded
-    if not recorded.in_seconds:
-        check_times(recorded.times, control_period)
     shown = [name for name in recorded.names if name in velocities]
     return synchronise(recorded, control_period, shown)
 
@@ -71,7 +82,7 @@ def noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
     alike = torch.tensor([[one == other for other in units] for one in units])
     largest = (alike * span).amax(-1)  # of the same unit
     for entry in (STILL * LEAST_RANGE * largest > span).nonzero().flatten().tolist():
-        if not units[entry]:
+        if not any(units):
             warnings.warn(
                 f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
                 f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "

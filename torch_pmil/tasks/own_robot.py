@@ -126,7 +126,7 @@ def own_robot(
         state, units, angles = state or env.names, units or env.units, angles or env.turning
         settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
     of_match = match.names if isinstance(match, MatchSpace) else () if match else state
-    recorded = read(demonstrations, tuple(of_match))
+    recorded = read(demonstrations, tuple(of_match), control_period)
     if isinstance(match, str):
         if not isinstance(env, MujocoRobot):
             raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
@@ -18,13 +19,14 @@ from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.history import History
 from torch_pmil.envs.rollouts import OfStates, as_executed
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -32,7 +34,11 @@ from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.outcome import Outcome
-from torch_pmil.tasks.task_checks import check_task
+from torch_pmil.tasks.task_checks import (
+    check_demonstrated_way,
+    check_folder_name,
+    check_movements,
+)
 from torch_pmil.trainer.problem import Problem
 from torch_pmil.trainer.trials import own_error
 
@@ -325,3 +331,42 @@ class Task(Settings):
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Inputs of a policy (S, D') in starts (S, D)."""
         return self.space.features(starts)
+
+
+def check_task(task: Task) -> None:
+    """Raise TypeError or ValueError unless the parts of a task fit each other."""
+    D, method, settings = task.space.dim, task.method, task.method.policy
+    check_folder_name(task.name)
+    for name in ("error", "predicted_error", "holding_actions", "sketch"):
+        function = getattr(task, name)
+        if not callable(function) and (function is not None or name == "error"):
+            raise TypeError(f"{name} must be a function, got {type(function).__name__}")
+    if outside := task.state_box and task.state_box.guard(task.initial.mean):
+        raise ValueError(f"box must hold the mean of initial, but {outside}")
+    check_noise(task.noise_std, task.space.match_space.names)
+    check_tensor("demonstrated_states", task.demonstrated_states, ("S", D))
+    if task.held_states is not None:
+        check_tensor("held_states", task.held_states, ("S", D))
+    if task.initial.dim != D:
+        raise ValueError(
+            f"initial must be over the {D} entries of the state, got {task.initial.dim}"
+        )
+    for name in ("input_widths", "least_widths"):
+        if (widths := getattr(settings, name)) is not None:
+            check_tensor(name, widths, (len(task.space.feature_names),))
+    if method.model.velocities_alone and not rates_of(task.space.names):
+        raise ValueError(
+            "velocities_alone needs entries of the state that are velocities of others, dNAME "
+            f"beside NAME, got {', '.join(task.space.names)}"
+        )
+    if isinstance(method.exploration, PDMovements):
+        check_movements(method.exploration, D)
+        return
+    if method.exploration.explore_demonstrated:
+        check_demonstrated_way(task.demonstrations, task.holding_actions, task.demonstrated_states)
+    if task.horizon < FEWEST_TRANSITIONS:
+        raise DemonstrationError(
+            f"demonstrations must have {FEWEST_TRANSITIONS + 1} samples at least, since the robot "
+            f"explores for as long and its model needs {FEWEST_TRANSITIONS} transitions, got "
+            f"{task.horizon + 1}"
+        )

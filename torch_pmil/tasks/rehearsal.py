@@ -59,7 +59,8 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
         states = _tried(task, actions)
     again = _tried(task, actions)[: len(states)]
     states = states[: len(again)]
-    scale = states.abs().amax(0).clamp(min=ALIKE)
+    scale = states.abs().amax(0)
+    scale = torch.where(scale > 0, scale, 1.0)
     apart = ((again - states) / scale).abs()
     if (apart > ALIKE).any():
         _check_drift(task, robot, actions[:SHORT])

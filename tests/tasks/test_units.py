@@ -96,14 +96,7 @@ def test_noise_of_an_entry_is_compared_with_its_own_unit() -> None:
 
 WRONG = [
     (lambda: Slider(bound=3.0), reaches(1e3), {}, "x looks like (milli|thousand).* within -3 to 3"),
-    (lambda: Slider(bound=3.0), reaches(180 / math.pi), {}, "x looks like degrees: .* 0 to 30.9"),
-    (
-        lambda: Slider(start=1.0),
-        reaches(1e3, 1.0),
-        {"units": ("m", "m/s")},
-        "x looks like milli",
-    ),
-    (lambda: Slider(1e3, 1.0), reaches(1.0, 1.0), {}, "x looks like a unit 1000 times larger"),
+    (lambda: Slider(bound=3.0), reaches(180 / math.pi), {}, "x looks like degrees, .* 0 to 30.9"),
     (
         Slider,
         reaches(rate=180 / math.pi),
@@ -122,11 +115,42 @@ def test_another_unit_than_the_robots_is_refused(
         task(robot(), shown, **said)
 
 
+@pytest.mark.parametrize(
+    ("robot", "unit", "said", "message"),
+    [
+        (Slider(start=1.0), 1e3, {"units": ("m", "m/s")}, "x looks like millimetres: rec.* at 1"),
+        (Slider(1e3, 1.0), 1.0, {}, "x looks like a unit 1000 times larger"),
+        (Slider(start=1.0), 100, {"units": ("m", "m/s")}, "x looks like centimetres"),
+    ],
+)
+def test_start_that_is_a_multiple_of_the_robots_is_doubted(
+    robot: Slider, unit: float, said: dict, message: str
+) -> None:
+    with pytest.warns(UserWarning, match=message):
+        task(robot, reaches(unit, 1.0), **said)
+
+
+def test_limits_name_what_may_be_meant() -> None:
+    metres = {"units": ("m", "m/s")}
+    with pytest.raises(DemonstrationError, match="x looks like centimetres or millimetres, or is"):
+        task(Slider(bound=1.0), reaches(100.0), **metres)
+    with pytest.raises(DemonstrationError, match="x is in another unit, or is out of reach"):
+        task(Slider(bound=0.1), reaches(), units=("s", ""))
+
+
+def test_entry_of_unknown_size_is_named() -> None:
+    robot = Slider()
+    reset = robot.reset
+    robot.reset = lambda **given: (0 * reset(**given)[0], {})
+    with pytest.warns(UserWarning, match="f starts at 0 each time and is not demonstrated"):
+        own_robot(robot, reaches(), 0.1, state=("x", "f"))
+
+
 def test_degrees_of_a_mujoco_robot_are_refused() -> None:
     robot = MujocoRobot(SERVO, ("q",), rate=10)
     shown = reaches(360 / math.pi).positions
     own_robot(robot, Demonstrations(reaches(2.0).positions, 0.1, ("q",)), 0.1)
-    with pytest.raises(DemonstrationError, match=r"q looks like degrees: .* -2\.97 to 2.97 rad"):
+    with pytest.raises(DemonstrationError, match=r"q looks like degrees, .* -2\.97 to 2.97 rad"):
         own_robot(robot, Demonstrations(shown, 0.1, ("q",)), 0.1)
 
 

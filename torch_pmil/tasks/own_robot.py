@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -181,7 +183,7 @@ def own_robot(
         "draws": robot.draws,
     }
     if "initial" not in given:
-        defaults["initial"] = _start(starts, states)
+        defaults["initial"] = _start(starts, states, space.names)
     fixed: dict[str, Any] = {"make_env": robot, "space": space, "demonstrations": shown}
     task = Task(**fixed, noise_std=noise_std, **(defaults | given))
     if task.promised is None:
@@ -280,7 +282,7 @@ def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor]
     return lambda states: states[..., entries]
 
 
-def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
+def _start(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
     """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 
     No robot starts twice the same: the standard deviations are at least a share of the largest
@@ -291,4 +293,12 @@ def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
         starts, share = states[:, 0], LEAST_START_BY_HAND
     least = share * states.flatten(0, -2).abs().amax(0)
     std = starts.std(0).maximum(least)
+    for name in itertools.compress(names, std == 0):
+        warnings.warn(
+            f"{name} starts at 0 each time and is not demonstrated, so its size is unknown: give "
+            "initial, with a standard deviation as large as it becomes, or policy and model may "
+            "not see it",
+            UserWarning,
+            stacklevel=4,
+        )
     return independent_start(starts.mean(0), torch.where(std > 0, std, UNMOVED))

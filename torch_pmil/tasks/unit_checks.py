@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 
 import torch
@@ -11,12 +12,17 @@ from torch import Tensor
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 
 DEGREES = 180 / math.pi
-FACTORS = {"rad": {DEGREES: "degrees"}, "m": {1e3: "millimetres"}, "": {DEGREES: "degrees"}}
+FACTORS = {
+    "rad": {DEGREES: "degrees"},
+    "m": {100.0: "centimetres", 1e3: "millimetres"},
+    "": {DEGREES: "degrees"},
+}
 THOUSANDTHS = {1e3: "thousandths of its unit", 1e6: "millionths of its unit"}
 HUNDREDTHS = {100.0: "hundredths of its unit"}  # where the ratio is known well
 ALIKE = 0.05  # relative difference of two numbers that count as equal
 FAR = 10.0  # standard deviations from 0 of a start whose unit shows
 BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
+SMALL = 50.0  # by which a motion is smaller than the limits allow, at most
 MOVED = 20.0  # times the motion of a robot that was tried: a larger motion is doubted
 TURNS, MOVED_ANGLE = 4 * math.pi, 5.0  # the same of what turns so far, if it may be an angle
 
@@ -35,17 +41,18 @@ def check_units(
         starts: values of each entry in the robot's starts, (S,).
         limits: lowest and highest value of each entry, infinite if unknown.
 
+    Warns of an entry that begins at a known multiple of the robot's start.
+
     Raises:
-        DemonstrationError: an entry is in another unit than the robot's, beyond doubt: it goes far
-            beyond its limits, begins at a multiple of the robot's start, or is not the change of
-            another entry recorded beside it but a multiple of that.
+        DemonstrationError: an entry goes far beyond its limits, or is a known multiple of the
+            change of another one, whose velocity its name says that it is.
 
     Example:
         >>> shown = 57.3 * torch.linspace(0, 1, 21).expand(3, 21)[..., None]
         >>> try:
         ...     check_units(Demonstrations(shown, 0.1, ("q",)), {"q": "rad"}, {}, {"q": (-3, 3)})
         ... except DemonstrationError as error:
-        ...     print(str(error).partition(":")[0])
+        ...     print(str(error).partition(",")[0])
         q looks like degrees
     """
     for name in recorded.names:
@@ -67,7 +74,11 @@ def looks_like(name: str, factor: float, unit: str, alike: float = ALIKE) -> str
         ('q looks like degrees', 'x looks like a unit 1000 times larger', '')
     """
     of, _, per = unit.partition("/")
-    factors = _factors(of) + (list(HUNDREDTHS.items()) if alike == ALIKE else [])
+    factors = _factors(of)
+    if alike == ALIKE:
+        factors = list((HUNDREDTHS | dict(factors)).items())
+    else:  # which cannot tell two neighbours apart
+        factors = [one for one in factors if one[0] != 100]
     times, what = min(factors, key=lambda one: abs(abs(math.log(factor)) - math.log(one[0])))
     if abs(abs(math.log(factor)) - math.log(times)) > math.log1p(alike):
         return ""
@@ -119,11 +130,16 @@ def _check_limits(name: str, values: Tensor, limits: tuple[float, float], unit: 
     largest, allowed = max(abs(low), abs(high)), max(map(abs, limits))
     if not 0 < BEYOND * allowed < largest:
         return
-    fits = [what for times, what in _factors(unit) if largest / times <= allowed]
-    what = f"{name} looks like {fits[0]}" if fits else f"{name} is in another unit"
+    least = allowed / SMALL
+    known = [
+        {times: what for times, what in factors.items() if least <= largest / times <= allowed}
+        for factors in (FACTORS.get(unit, {}), THOUSANDTHS)
+    ]
+    fits = " or ".join((known[0] or known[1]).values())
+    what = f"looks like {fits}" if fits else "is in another unit"
     raise DemonstrationError(
-        f"{what}: recorded from {low:.3g} to {high:.3g}, where the robot moves within "
-        f"{limits[0]:.3g} to {limits[1]:.3g} {unit}".rstrip()
+        f"{name} {what}, or is out of reach: recorded from {low:.3g} to {high:.3g}, where the "
+        f"robot moves within {limits[0]:.3g} to {limits[1]:.3g} {unit}".rstrip()
         + "; convert the recordings"
     )
 
@@ -136,10 +152,12 @@ def _check_starts(name: str, first: Tensor, starts: Tensor, unit: str) -> None:
     if first.std() > ALIKE * abs(theirs):
         return
     if what := looks_like(name, theirs / ours, unit):
-        raise DemonstrationError(
+        warnings.warn(  # or it happens to be so
             f"{what}: recordings begin at {theirs:.4g}, where the robot starts at {ours:.4g} "
             f"{unit}".rstrip()
-            + "; convert the recordings"
+            + "; if so, convert the recordings",
+            UserWarning,
+            stacklevel=5,
         )
 
 

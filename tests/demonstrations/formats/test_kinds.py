@@ -30,7 +30,7 @@ POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab\
         (b" \n", "an empty file"),
         (POINTER, "a Git LFS pointer: git lfs pull fetches the file it stands for"),
         (b"\n<!DOCTYPE html><html></html>", "a web page"),
-        (gzip.compress(b"demonstration,time,x"), "a gzip archive"),
+        (gzip.compress(b"demonstration,time,x", mtime=0), "a gzip archive"),
         ("demonstration,time,x".encode("utf-16"), "text in UTF-16, not UTF-8"),
         (b"\x93NUMPY\x01\x00", "a single array of NumPy"),
     ],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 
 import torch
 from torch import Tensor
@@ -58,6 +59,17 @@ def check_names(name: str, values: object) -> None:
         check_text(f"each of {name}", each)
     if len(set(values)) < len(values):
         raise ValueError(f"{name} must be different names, got {short(values)}")
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
+    """The known name that is nearest to an unknown one, as a question; otherwise other words.
+
+    Example:
+        >>> did_you_mean("tolerence", ("tolerance", "trials"), "there is no such setting")
+        'did you mean tolerance?'
+    """
+    near = get_close_matches(name, list(known), 1, cutoff)
+    return f"did you mean {near[0]}?" if near else otherwise
 
 
 def check_text(name: str, value: object, empty: bool = False) -> None:

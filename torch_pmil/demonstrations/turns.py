@@ -37,7 +37,7 @@ def unwrapped(shown: Shown, turns: Mapping[str, float], near: Mapping[str, float
         tensor([[3.0000, 3.1800, 3.3800],
                 [3.0800, 3.1800, 3.3800]], dtype=torch.float64)
     """
-    values = [one.clone() for one in _values(shown)]
+    values = [one.clone() for one in values_of(shown)]
     for name, turn in turns.items():
         if name not in shown.names:
             continue
@@ -58,7 +58,7 @@ def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, 
     """
     found: dict[str, tuple[float, int, int]] = {}
     for column, name in enumerate(shown.names):
-        columns = [one[:, column].double().numpy() for one in _values(shown)]
+        columns = [one[:, column].double().numpy() for one in values_of(shown)]
         for turn in TURNS:
             for number, one in enumerate(columns):
                 if (sample := _jump(one, turn)) and not _rough(one, turn):
@@ -70,7 +70,7 @@ def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, 
 def turns_of(shown: Recordings | Demonstrations, names: Sequence[str]) -> dict[str, float]:
     """Size of a turn of entries that are angles: 360 where they jump by it or exceed 4 pi."""
     found = wrapping(shown)
-    largest = [one.abs().amax(0) for one in _values(shown)]
+    largest = [one.abs().amax(0) for one in values_of(shown)]
     turns = {}
     for name in names:
         column = shown.names.index(name)
@@ -93,7 +93,8 @@ def jumps_by_turns(shown: Recordings | Demonstrations) -> Iterator[str]:
         )
 
 
-def _values(shown: Recordings | Demonstrations) -> Sequence[Tensor]:
+def values_of(shown: Recordings | Demonstrations) -> list[Tensor]:
+    """Observations of each recording or demonstration, (T_n, M)."""
     return [*(shown.positions if isinstance(shown, Demonstrations) else shown.values)]
 
 

@@ -15,7 +15,7 @@ from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import EnvBase, SerialEnv, step_mdp
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
-from torch_pmil.envs.turning import Continued
+from torch_pmil.envs.turning import Continued, within_half_a_turn
 from torch_pmil.seeds import SEEDS
 
 CIRCLE = 2.0  # radius, or its inverse, beyond which noise explains no cosine and sine
@@ -173,7 +173,7 @@ class AdaptedEnv(RobotEnv):
                 f"{shown[..., cosines].tolist()} and {shown[..., sines].tolist()}"
             )
         change = torch.atan2(shown[..., sines], shown[..., cosines]) - self._turned
-        self._turned = self._turned + torch.atan2(change.sin(), change.cos())
+        self._turned = self._turned + within_half_a_turn(change)
         state = shown.clone()
         state[..., cosines] = self._turned
         return state[..., self._kept]

@@ -71,7 +71,7 @@ class OneRobot:
         self.turning_entries: tuple[Turning, ...] = ()  # of angles that are shown as they are
         self.physical = isinstance(env, RobotEnv) and env.physical
         if isinstance(env, RobotEnv):
-            _check_period(env, self.control_period, steps_per_action)
+            check_period(env.control_period, self.control_period, steps_per_action)
         if self.physical and self.angles:
             raise ValueError("a physical robot must show its angles, got cosine and sine of them")
         steps = steps_per_action or 1
@@ -152,11 +152,14 @@ def length_of_step(env: gymnasium.Env) -> float | None:
     return float(step) if number and 0 < step < math.inf else None
 
 
-def _check_period(env: RobotEnv, control_period: float, steps: int | None) -> None:
-    """Raise ValueError unless a robot of this package is used at its own control period."""
-    if env.control_period != control_period or steps not in (None, 1):
+def check_period(own: float, control_period: float, steps: int | None, rounded: float = 0) -> None:
+    """Raise ValueError unless a robot of this package is used at its own control period.
+
+    The two may differ relatively by ``rounded``.
+    """
+    if not math.isclose(own, control_period, rel_tol=rounded) or steps not in (None, 1):
         raise ValueError(
-            f"control_period must be that of the robot, {env.control_period:g} s, got "
+            f"control_period must be that of the robot, {own:g} s, got "
             f"{control_period:g} s{f' and {steps} steps_per_action' if steps else ''}"
         )
 

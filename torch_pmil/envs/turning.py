@@ -13,6 +13,11 @@ TURN = 2 * math.pi
 NOISE = 0.3  # rad, by which a reading may be beyond the turn
 
 
+def within_half_a_turn(angle: Tensor) -> Tensor:
+    """An angle (rad), moved by whole turns into [-pi, pi]."""
+    return torch.atan2(angle.sin(), angle.cos())
+
+
 @dataclass(frozen=True)
 class Turning:
     """An angle (rad) among the observed entries.

@@ -8,7 +8,6 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from torch_pmil.checks import did_you_mean
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.files import FileError, LineError, read_text
 from torch_pmil.runs.run_folder import LOGGERS, MOST_TRIALS, check_logger, check_resume
@@ -215,8 +215,7 @@ def _parsed(text: str) -> Override:
 
 def _check_name(name: str, text: str) -> None:
     if name not in SETTINGS:
-        near = get_close_matches(name, SETTINGS, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(SETTINGS)}"
+        hint = did_you_mean(name, SETTINGS, f"there are {', '.join(SETTINGS)}", cutoff=0.5)
         raise SettingsError(f"there is no setting {name} in {text}: {hint}")
 
 

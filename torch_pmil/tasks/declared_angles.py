@@ -35,8 +35,7 @@ def on_one_turn(
 
     Warns of holes, and of entries that jump by a turn although they were not declared.
     """
-    match, _D = space.match_space, space.dim
-    turns = {}
+    match, turns = space.match_space, {}
     for name, weights in zip(match.names, match.weights, strict=True):
         used = weights.nonzero().flatten().tolist()
         sizes = weights[used].abs()

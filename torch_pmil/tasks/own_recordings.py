@@ -54,15 +54,20 @@ def read(
 def _from_file(path: str | os.PathLike[str], wanted: Sequence[str]) -> Recordings:
     with suppress(DemonstrationError):
         return load_recordings(path, keys=wanted)
-    with suppress(DemonstrationError):
+    rates = rates_of(tuple(wanted))
+    unread: DemonstrationError | None = None
+    try:
         every = load_recordings(path)
         if set(every.names) <= set(wanted):
             return every
-    rates = rates_of(tuple(wanted))
+    except DemonstrationError as error:
+        unread = error
     with suppress(DemonstrationError):
         places = [name for entry, name in enumerate(wanted) if entry not in rates]
         return load_recordings(path, keys=places)
-    return load_recordings(path)
+    if unread is not None:
+        raise unread
+    return every
 
 
 def at_control_rate(
@@ -81,13 +86,13 @@ def noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
     span = high - low
     alike = torch.tensor([[one == other for other in units] for one in units])
     largest = (alike * span).amax(-1)  # of the same unit
-    for entry in (STILL * LEAST_RANGE * largest > span).nonzero().flatten().tolist():
-        if not any(units):
-            warnings.warn(
-                f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
-                f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
-                "if theirs differ, or noise_std",
-                UserWarning,
-                stacklevel=4,
-            )
+    still = STILL * LEAST_RANGE * largest > span
+    for entry in [] if any(units) else still.nonzero().flatten().tolist():
+        warnings.warn(
+            f"{shown.names[entry]} hardly changes beside the other entries: its accuracy is "
+            f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
+            "if theirs differ, or noise_std",
+            UserWarning,
+            stacklevel=4,
+        )
     return NOISE * span.maximum(LEAST_RANGE * largest)

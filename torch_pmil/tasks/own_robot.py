@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
@@ -22,7 +21,7 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
-from torch_pmil.envs.one_robot import OneRobot
+from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.seeds import Stream
@@ -208,12 +207,7 @@ def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tens
 def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int | None) -> Robot:
     if not isinstance(env, MujocoRobot):
         return OneRobot(env, control_period, _pairs(observed), steps)
-    same = math.isclose(env.control_period, control_period, rel_tol=ROUNDED)
-    if not same or steps not in (None, 1):
-        raise ValueError(
-            f"control_period must be that of the robot, {env.control_period:g} s, got "
-            f"{control_period:g} s"
-        )
+    check_period(env.control_period, control_period, steps, ROUNDED)
     return env
 
 

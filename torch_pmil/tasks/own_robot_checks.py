@@ -6,14 +6,13 @@ import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
-from difflib import get_close_matches
 from numbers import Real
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
-from torch_pmil.checks import check_names, check_text
+from torch_pmil.checks import check_names, check_text, did_you_mean
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.files import short
@@ -95,6 +94,6 @@ def _check_known(function: Callable[..., Any], settings: Mapping[str, object]) -
     own = [name for name in inspect.signature(function).parameters if name != "settings"]
     for name in settings:
         if name not in known:
-            near = get_close_matches(name, [*own, *sorted(known)], 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(own)}, and more"
+            more = f"there are {', '.join(own)}, and more"
+            hint = did_you_mean(name, [*own, *sorted(known)], more)
             raise ValueError(f"settings must be known ones, got {short(name)}: {hint}")

@@ -16,6 +16,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.layers import counted, unrepeatable_layer, wrappers_of
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, length_of_step
+from torch_pmil.envs.turning import within_half_a_turn
 from torch_pmil.seeds import Stream
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.unit_checks import check_motion
@@ -87,9 +88,9 @@ def check_velocities(
     rates = {k: of for k, of in rates_of(names).items() if names[k] not in hidden}
     for rate, position in rates.items():
         if position in space.angles:  # which may have been continued by a wrong velocity
-            apart = _within_half_a_turn(change[:, position] - sums[:, rate])
+            apart = within_half_a_turn(change[:, position] - sums[:, rate])
             right = apart.square().mean() < 1
-            turned = sums[:, rate] + apart if right else _within_half_a_turn(change[:, position])
+            turned = sums[:, rate] + apart if right else within_half_a_turn(change[:, position])
             change[:, position] = turned
     noise = change.diff(dim=0).square().mean(0).sqrt() / math.sqrt(6)  # at most
     moved, summed = _windows(change), _windows(sums)
@@ -147,10 +148,6 @@ def _ranges(task: Task, tried: Tensor) -> tuple[dict, dict, dict, float]:
 def _reach(task: Task) -> float:
     """Of the actions, in halves of their range; no larger than in the first motion."""
     return min(REACH, getattr(task.method.exploration, "random_action", REACH))
-
-
-def _within_half_a_turn(angle: Tensor) -> Tensor:
-    return torch.atan2(angle.sin(), angle.cos())
 
 
 def _windows(steps: Tensor) -> Tensor:

@@ -10,16 +10,18 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
+from torch_pmil.demonstrations.turns import values_of
 
 DEGREES = 180 / math.pi
+CENTI = 100.0  # too near to 57.3 and 1000 where a ratio is known roughly
 FACTORS = {
     "rad": {DEGREES: "degrees"},
-    "m": {100.0: "centimetres", 1e3: "millimetres"},
+    "m": {CENTI: "centimetres", 1e3: "millimetres"},
     "": {DEGREES: "degrees"},
 }
 THOUSANDTHS = {1e3: "thousandths of its unit", 1e6: "millionths of its unit"}
-HUNDREDTHS = {100.0: "hundredths of its unit"}  # where the ratio is known well
 ALIKE = 0.05  # relative difference of two numbers that count as equal
+ROUGHLY = 7.0  # the same of a ratio that says little more than the order of magnitude
 FAR = 10.0  # standard deviations from 0 of a start whose unit shows
 BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
 SMALL = 50.0  # by which a motion is smaller than the limits allow, at most
@@ -56,7 +58,7 @@ def check_units(
         q looks like degrees
     """
     for name in recorded.names:
-        values = [each[:, recorded.names.index(name)] for each in _values(recorded)]
+        values = [each[:, recorded.names.index(name)] for each in values_of(recorded)]
         unit = units.get(name, "")
         if name in limits:
             _check_limits(name, torch.cat(values), limits[name], unit)
@@ -66,30 +68,26 @@ def check_units(
             _check_rate(recorded, name, units.get(f"d{name}", ""))
 
 
-def looks_like(name: str, factor: float, unit: str, alike: float = ALIKE) -> str:
+def looks_like(name: str, factor: float, unit: str, roughly: bool = False) -> str:
     """The unit of numbers that are ``factor`` times too large, as ``"q looks like degrees"``.
+
+    Empty if the factor is not, or not even roughly, that of a unit.
 
     Example:
         >>> looks_like("q", 57.3, "rad"), looks_like("x", 0.001, "mm"), looks_like("x", 2.0, "m")
         ('q looks like degrees', 'x looks like a unit 1000 times larger', '')
     """
     of, _, per = unit.partition("/")
-    factors = _factors(of)
-    if alike == ALIKE:
-        factors = list((HUNDREDTHS | dict(factors)).items())
-    else:  # which cannot tell two neighbours apart
-        factors = [one for one in factors if one[0] != 100]
-    times, what = min(factors, key=lambda one: abs(abs(math.log(factor)) - math.log(one[0])))
-    if abs(abs(math.log(factor)) - math.log(times)) > math.log1p(alike):
+    known = {CENTI: "hundredths of its unit"} | THOUSANDTHS | FACTORS.get(of, {})
+    if roughly:
+        del known[CENTI]
+    apart = {times: abs(abs(math.log(factor)) - math.log(times)) for times in known}
+    times = min(apart, key=lambda one: apart[one])
+    if apart[times] > math.log1p(ROUGHLY if roughly else ALIKE):
         return ""
     if factor < 1:
         return f"{name} looks like a unit {times:.4g} times larger"
-    return f"{name} looks like {what}" + (f" per {per}" if per else "")
-
-
-def _factors(unit: str) -> list[tuple[float, str]]:
-    """How many times larger numbers are in smaller units, and which, from the least on."""
-    return sorted((THOUSANDTHS | FACTORS.get(unit, {})).items())
+    return f"{name} looks like {known[times]}" + (f" per {per}" if per else "")
 
 
 def check_motion(
@@ -111,18 +109,15 @@ def check_motion(
         if not 0 < least * times * moved[name] < high - low:
             continue
         larger = (high - low) / moved[name]
-        what = looks_like(name, larger, units[name], 7.0) or f"{name} may be in another unit"
+        what = (
+            looks_like(name, larger, units[name], roughly=True) or f"{name} may be in another unit"
+        )
         doubts.append(
             f"{what}: recorded from {low:.3g} to {high:.3g}, where the robot moved within "
             f"{moved[name]:.3g} {units[name]}".rstrip()
             + " when it was tried with slow actions"
         )
     return doubts
-
-
-def _values(recorded: Demonstrations | Recordings) -> list[Tensor]:
-    of_one = recorded.positions if isinstance(recorded, Demonstrations) else recorded.values
-    return list(of_one)
 
 
 def _check_limits(name: str, values: Tensor, limits: tuple[float, float], unit: str) -> None:
@@ -165,7 +160,7 @@ def _check_rate(recorded: Demonstrations | Recordings, name: str, unit: str) -> 
     """Refuse a recorded velocity that is a known multiple of its position's changes."""
     at, rate = recorded.names.index(name), recorded.names.index(f"d{name}")
     changes, sums = [], []
-    for number, values in enumerate(_values(recorded)):
+    for number, values in enumerate(values_of(recorded)):
         if isinstance(recorded, Demonstrations):
             steps: Tensor | float = recorded.time_step
         else:

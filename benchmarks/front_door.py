@@ -18,7 +18,8 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from torch_pmil.tasks.rehearsal import rehearse
 
 ERRORS = (DemonstrationError, TypeError, ValueError, OSError)
 LONGEST = 400  # letters of a clear line
+DEGREES = 180 / np.pi
 NEAR = 0.02  # largest error of a demonstrated mean, in its largest value
 
 Array = np.ndarray
@@ -131,7 +133,6 @@ class Case:
     make: Callable[[Path], tuple[Any, Any, float, dict[str, Any]]]  # robot, file, period, said
     right: Callable[[Array], Array] | None = None  # demonstrated mean at times of the robot
     named: str = ""  # words of the line that says what is the matter
-    entries: slice = field(default_factory=lambda: slice(0, 1))
 
 
 def handed_over(case: Case, folder: Path) -> str:
@@ -173,8 +174,16 @@ def _judged(case: Case, lines: list[str], mean: Array | None) -> str:
     return "right"
 
 
-def q_of(times: Array, number: int) -> dict[str, Array]:
-    return {"q": reach(times, number)}
+def shown(
+    start: float = 0.0, end: float = 1.0, scale: float = 1.0, half: float | None = None
+) -> Columns:
+    """A reach of q, times a scale, within half a turn on each side if that is given."""
+
+    def columns(times: Array, number: int) -> dict[str, Array]:
+        q = scale * reach(times, number, start, end)
+        return {"q": q if half is None else wrapped(q, half)}
+
+    return columns
 
 
 def expected(period: float = 0.1, start: float = 0.0, end: float = 1.0, scale: float = 1.0) -> Any:
@@ -188,7 +197,7 @@ def case(
     kind: str,
     name: str,
     robot: Callable[[], Any] = Joint,
-    columns: Columns = q_of,
+    columns: Columns | None = None,
     named: str = "",
     right: Any = None,
     period: float = 0.1,
@@ -199,7 +208,7 @@ def case(
     said = {"state": ("q", "dq"), **(said or {})}
 
     def make(folder: Path) -> tuple[Any, Any, float, dict[str, Any]]:
-        path = write(folder / "recorded.csv", columns, **written)
+        path = write(folder / "recorded.csv", columns or shown(), **written)
         path.write_text(edit(path.read_text()))
         return robot(), path, period, said
 
@@ -207,44 +216,34 @@ def case(
 
 
 def angles() -> Iterator[Case]:
-    kind, turns = "wrapped angles", {"said": {"angles": ("q",)}}
-    for rate in (10.0, 100.0):
-        for half, _unit in ((np.pi, "rad"),):
-            over = lambda t, n, half=half: {"q": wrapped(reach(t, n, 2.5, 4.0), half)}  # noqa: E731
-            start = lambda: Joint(start=2.5)  # noqa: E731
-            truth = expected(start=2.5, end=4.0)
-            yield case(
-                kind, f"through pi at {rate:g} Hz", start, over, right=truth, rate=rate, **turns
-            )
-            below = lambda: Joint(start=2.5 - 2 * np.pi)  # noqa: E731
-            lower = expected(start=2.5 - 2 * np.pi, end=4.0 - 2 * np.pi)
-            moved = lambda mean, lower=lower: lower(mean)  # noqa: E731
-            yield case(
-                kind,
-                f"robot a turn below, {rate:g} Hz",
-                below,
-                over,
-                right=moved,
-                rate=rate,
-                **turns,
-            )
-            robot = lambda: Joint(start=2.5, wraps=True)  # noqa: E731
-            yield case(
-                kind, f"robot wraps too, {rate:g} Hz", robot, over, right=truth, rate=rate, **turns
-            )
-            yield case(kind, f"undeclared, {rate:g} Hz", start, over, "q.*(turn|wrap)", rate=rate)
-        degrees = lambda t, n: {"q": wrapped(np.degrees(reach(t, n, 2.5, 4.0)), 180)}  # noqa: E731
-        yield case(
-            kind, f"degrees, {rate:g} Hz", start, degrees, "degrees|turn", rate=rate, **turns
-        )
-    each = lambda t, n: {"q": reach(t, n, 2.5, 4.0) + 2 * np.pi * n}  # noqa: E731
-    yield case(kind, "each a turn further", start, each, right=truth, **turns)
-    fast = lambda t, n: {"q": reach(t, n, 0.0, 9.0)}  # noqa: E731
-    yield case(kind, "beyond a turn, continuous", Joint, fast, right=expected(end=9.0), **turns)
-    atan2 = lambda t, n: {"q": np.arctan2(np.sin(reach(t, n, 0, 9)), np.cos(reach(t, n, 0, 9)))}  # noqa: E731
-    yield case(
-        kind, "arctangent beyond a turn", Joint, atan2, right=expected(end=9.0), rate=50.0, **turns
+    kind, turns, over = "wrapped angles", {"said": {"angles": ("q",)}}, (2.5, 4.0)
+    there, truth, through = (
+        partial(Joint, start=2.5),
+        expected(0.1, *over),
+        shown(*over, half=np.pi),
     )
+    below, lower = (
+        partial(Joint, start=2.5 - 2 * np.pi),
+        expected(0.1, 2.5 - 2 * np.pi, 4.0 - 2 * np.pi),
+    )
+    degrees = shown(*np.degrees(over), half=180.0)
+    for rate in (10.0, 100.0):
+        given = {"rate": rate, **turns}
+        yield case(kind, f"through pi at {rate:g} Hz", there, through, right=truth, **given)
+        yield case(kind, f"robot a turn below, {rate:g} Hz", below, through, right=lower, **given)
+        robot = partial(Joint, start=2.5, wraps=True)
+        yield case(kind, f"robot wraps too, {rate:g} Hz", robot, through, right=truth, **given)
+        yield case(kind, f"undeclared, {rate:g} Hz", there, through, "q.*(turn|wrap)", rate=rate)
+        yield case(kind, f"degrees, {rate:g} Hz", there, degrees, "degrees|turn", **given)
+
+    def each_further(times: Array, number: int) -> dict[str, Array]:
+        return {"q": reach(times, number, *over) + 2 * np.pi * number}
+
+    far = expected(end=9.0)
+    yield case(kind, "each a turn further", there, each_further, right=truth, **turns)
+    yield case(kind, "beyond a turn, continuous", Joint, shown(end=9.0), right=far, **turns)
+    arctangent = {"right": far, "rate": 50.0, **turns}
+    yield case(kind, "arctangent beyond a turn", Joint, shown(end=9.0, half=np.pi), **arctangent)
 
 
 def clocks() -> Iterator[Case]:
@@ -265,52 +264,53 @@ def clocks() -> Iterator[Case]:
 
 def holes() -> Iterator[Case]:
     kind = "holes"
+
+    def but_for(start: float, times: Array, number: int) -> Array:
+        return (number != 1) | (times <= start) | (times >= start + 0.6)
+
+    def but_for_one_each(times: Array, number: int) -> Array:
+        return (times <= 0.3 + 0.1 * number) | (times >= 0.7 + 0.1 * number)
+
     for start in (0.1, 0.5, 0.9):
-        keep = lambda t, n, start=start: (n != 1) | (t <= start) | (t >= start + 0.6)  # noqa: E731
-        said = {"rate": 100.0, "keep": keep}
+        said = {"rate": 100.0, "keep": partial(but_for, start)}
         yield case(kind, f"0.6 s from {start:g} s on", named=r"demonstration 1.*0\.6", **said)
-    several = lambda t, n: (t <= 0.3 + 0.1 * n) | (t >= 0.7 + 0.1 * n)  # noqa: E731
-    yield case(kind, "one in each", named=r"demonstration \d.*0\.4", rate=100.0, keep=several)
+    said = {"rate": 100.0, "keep": but_for_one_each}
+    yield case(kind, "one in each", named=r"demonstration \d.*0\.4", **said)
 
 
 def units() -> Iterator[Case]:
     kind, rad = "units", {"said": {"units": ("rad", "rad/s")}}
-    degrees = lambda t, n: {"q": np.degrees(reach(t, n))}  # noqa: E731
+    degrees, mm = shown(scale=DEGREES), shown(scale=1000.0)
     yield case(kind, "degrees", columns=degrees, named="q looks like degrees", **rad)
     yield case(kind, "degrees, nothing said", columns=degrees, named="q (looks like|may be in)")
-    yield case(
-        kind, "degrees of an angle", columns=degrees, named="degrees", said={"angles": ("q",)}
-    )
-    mm = lambda t, n: {"q": 1000 * reach(t, n)}  # noqa: E731
-    yield case(
-        kind, "millimetres", columns=mm, named="q looks like milli", said={"units": ("m", "m/s")}
-    )
+    an_angle = {"said": {"angles": ("q",)}}
+    yield case(kind, "degrees of an angle", columns=degrees, named="degrees", **an_angle)
+    metres = {"said": {"units": ("m", "m/s")}}
+    yield case(kind, "millimetres", columns=mm, named="q looks like milli", **metres)
     yield case(kind, "thousandths, nothing said", columns=mm, named="q (looks like|may be in)")
-    elsewhere = lambda: Joint(start=1.0)  # noqa: E731
-    from_there = lambda t, n: {"q": np.degrees(reach(t, n, 1.0, 1.5))}  # noqa: E731
-    yield case(kind, "degrees, start", elsewhere, from_there, "q looks like degrees", **rad)
+    from_there = shown(1.0, 1.5, DEGREES)
+    there = partial(Joint, start=1.0)
+    yield case(kind, "degrees, start", there, from_there, "q looks like degrees", **rad)
     for scale in (1e3, 1e6, 1e-3, 1e4):
-        robot = lambda scale=scale: Joint(scale)  # noqa: E731
-        shown = lambda t, n, scale=scale: {"q": scale * reach(t, n)}  # noqa: E731
-        yield case(
-            kind,
-            f"robot and recordings in {1 / scale:g}",
-            robot,
-            shown,
-            right=expected(scale=scale),
-        )
+        robot, truth = partial(Joint, scale), expected(scale=scale)
+        name = f"robot and recordings in {1 / scale:g}"
+        yield case(kind, name, robot, shown(scale=scale), right=truth)
+
+    def counted(factor: float, times: Array, _number: int) -> Array:
+        return np.round(factor * times)
+
     for name, factor in (("milliseconds", 1e3), ("nanoseconds", 1e9), ("frames", 10.0)):
-        stamps = lambda t, n, factor=factor: np.round(factor * t)  # noqa: E731
+        stamps = partial(counted, factor)
         yield case(kind, f"time in {name}", named="time.*(second|frame)", stamps=stamps)
 
 
 def names() -> Iterator[Case]:
     kind = "names and steps"
-    swapped = lambda: Joint(order=(1, 0))  # noqa: E731
+    swapped = partial(Joint, order=(1, 0))
     yield case(kind, "swapped", swapped, named="dq must be the velocity of q.*swap")
-    yield case(kind, "velocity in degrees", lambda: Joint(rates=57.3), named="dq must be.*57")
+    yield case(kind, "velocity in degrees", partial(Joint, rates=57.3), named="dq must be.*57")
     yield case(
-        kind, "velocity of another sign", lambda: Joint(rates=-1), named="dq must be.*-(1|0.99)"
+        kind, "velocity of another sign", partial(Joint, rates=-1), named="dq must be.*-(1|0.99)"
     )
     yield case(kind, "order said", swapped, right=expected(), said={"state": ("dq", "q")})
     yield case(kind, "no dt", Clockless, named="steps_per_action")
@@ -327,15 +327,23 @@ def names() -> Iterator[Case]:
     )
     yield case(kind, "match of a number", named="match must", said={"match": 3})
     circle = {"state": ("cos q", "sin q", "dq")}
-    yield case(kind, "cosine and sine", lambda: Joint(turned=True), right=expected(), said=circle)
+    yield case(kind, "cosine and sine", partial(Joint, turned=True), right=expected(), said=circle)
 
 
 def repeatability() -> Iterator[Case]:
     kind, wrap = "robots that do not repeat", gymnasium.wrappers
-    normed = lambda: wrap.NormalizeObservation(Joint())  # noqa: E731
-    yield case(kind, "NormalizeObservation", normed, named="NormalizeObservation")
-    again = lambda: wrap.Autoreset(wrap.TimeLimit(Joint(), 7))  # noqa: E731
-    yield case(kind, "Autoreset", again, named="Autoreset")
+    yield case(
+        kind,
+        "NormalizeObservation",
+        lambda: wrap.NormalizeObservation(Joint()),
+        named="NormalizeObservation",
+    )
+    yield case(
+        kind,
+        "Autoreset",
+        lambda: wrap.Autoreset(wrap.TimeLimit(Joint(), 7)),
+        named="Autoreset",
+    )
     yield case(kind, "TimeLimit", lambda: wrap.TimeLimit(Joint(), 7), right=expected())
     yield case(kind, "NormalizeReward", lambda: wrap.NormalizeReward(Joint()), right=expected())
 
@@ -401,7 +409,7 @@ def main() -> None:
     rows = []
     for one in (each for kind in KINDS for each in kind()):
         with tempfile.TemporaryDirectory() as folder:
-            came = handed_over(one, Path(folder))
+            came = handed_over(one, Path(folder)).replace(f"{folder}/", "")
         rows.append({"kind": one.kind, "case": one.name, "result": came})
         print(f"{one.kind}, {one.name}: {came}", flush=True)
     table = [

@@ -27,7 +27,7 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class State:
-    """What a robot tells: the time stamp is in s, of its own clock."""
+    """What a robot sends: the time stamp is in s, of its own clock."""
 
     status: Status
     rollout: int
@@ -37,7 +37,7 @@ class State:
 
 @dataclass(frozen=True)
 class Command:
-    """What a robot is told; the kind is ``ACTION``, ``PUT_BACK`` or ``STOP``."""
+    """What a robot is commanded; the kind is ``ACTION``, ``PUT_BACK`` or ``STOP``."""
 
     kind: bytes
     rollout: int = 0

@@ -1,6 +1,6 @@
 """A simulated robot in a process of its own, which moves in real time.
 
-It tells its state at each time step of the simulation, and stops by itself when no action came
+It sends its state at each time step of the simulation, and stops by itself when no action came
 within two control periods, less a tenth for the way. Example:
 
     python -m examples.robot_server.server --delay 0.005 --jitter 0.002
@@ -40,7 +40,7 @@ PATIENCE = 1.8  # control periods without an action after which the robot stops
 
 
 class RobotServer:
-    """Moves a robot as it is told.
+    """Moves a robot as it is commanded.
 
     Args:
         env: of the robot.
@@ -61,7 +61,7 @@ class RobotServer:
         self._complained = -COMPLAINTS
 
     def hear(self, message: bytes, now: float) -> None:
-        """Take a message; one that is no command is told and forgotten."""
+        """Take a message; one that is not a command is reported and dropped."""
         try:
             command = unpack_command(message, self._robot.env.model.nu)
         except ValueError as error:
@@ -89,8 +89,8 @@ class RobotServer:
             self._robot.advance()
         state = self._robot.state()
         measured = state + np.multiply(self._noise, self._generator.standard_normal(len(state)))
-        told = State(self._status, self._rollout, now, measured.tolist())
-        self._states.put(pack_state(told), now)
+        state = State(self._status, self._rollout, now, measured.tolist())
+        self._states.put(pack_state(state), now)
         return [*self._states.arrived(now)]
 
     def stop(self) -> None:
@@ -102,10 +102,10 @@ class RobotServer:
 def serve(server: RobotServer, timestep: float, states: str, commands: str) -> None:
     """Serve at these addresses, until the process ends."""
     context = zmq.Context()
-    told, heard = context.socket(zmq.PUB), context.socket(zmq.PULL)
-    told.bind(states)
+    sent, heard = context.socket(zmq.PUB), context.socket(zmq.PULL)
+    sent.bind(states)
     heard.bind(commands)
-    print(f"a robot tells its state at {states} and takes actions at {commands}", flush=True)
+    print(f"a robot sends its state at {states} and takes actions at {commands}", flush=True)
     clock = ControlClock(timestep)
     try:
         while True:
@@ -115,7 +115,7 @@ def serve(server: RobotServer, timestep: float, states: str, commands: str) -> N
                     break
                 server.hear(heard.recv(), time.monotonic())
             for message in server.step(time.monotonic()):
-                told.send(message)
+                sent.send(message)
     finally:
         server.stop()
         context.destroy(linger=0)

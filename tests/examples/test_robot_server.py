@@ -58,7 +58,7 @@ class Rig:
     def now(self) -> float:
         return self.tick * TIMESTEP
 
-    def tell(self, command: Command) -> None:
+    def command(self, command: Command) -> None:
         self.server.hear(pack_command(command), self.now)
 
     def run(self, steps: int) -> list[State]:
@@ -75,11 +75,11 @@ def test_robot_moves_as_its_environment_does_to_the_bit() -> None:
     env.reset()  # the server has taken the first start
     actions = iter(torch.tensor([[0.5, -0.2], [9.0, 0.3], [0.0, -2.0]], dtype=torch.float64))
     expected = env.rollout(3, lambda tensordict: tensordict.set("action", next(actions)))
-    rig.tell(Command(PUT_BACK, 7))
+    rig.command(Command(PUT_BACK, 7))
     start = rig.run(3)[-1]
     seen = [start.entries]
     for action in expected["action"].tolist():
-        rig.tell(Command(ACTION, 7, action))
+        rig.command(Command(ACTION, 7, action))
         seen.append(rig.run(round(PERIOD / TIMESTEP))[-1].entries)
     assert start.status == Status.HELD and start.rollout == 7
     assert np.array_equal(seen[0], expected["observation"][0])
@@ -88,43 +88,43 @@ def test_robot_moves_as_its_environment_does_to_the_bit() -> None:
 
 def test_robot_is_held_until_the_first_action() -> None:
     rig = Rig()
-    rig.tell(Command(PUT_BACK, 7))
+    rig.command(Command(PUT_BACK, 7))
     states = rig.run(100)
     assert len({state.entries for state in states}) == 1
-    rig.tell(Command(ACTION, 7, (1.0, 0.0)))
+    rig.command(Command(ACTION, 7, (1.0, 0.0)))
     assert rig.run(2)[-1].status == Status.MOVING
 
 
 def test_robot_stops_by_itself_before_two_periods_are_over() -> None:
     rig = Rig()
-    rig.tell(Command(PUT_BACK, 7))
-    rig.tell(Command(ACTION, 7, (1.0, 0.0)))
+    rig.command(Command(PUT_BACK, 7))
+    rig.command(Command(ACTION, 7, (1.0, 0.0)))
     stamps = [state.stamp for state in rig.run(200) if state.status == Status.STOPPED]
     assert 1.7 * PERIOD < stamps[0] < 2 * PERIOD
-    rig.tell(Command(ACTION, 7, (1.0, 0.0)))
+    rig.command(Command(ACTION, 7, (1.0, 0.0)))
     assert rig.run(1)[0].status == Status.STOPPED
-    rig.tell(Command(PUT_BACK, 8))
+    rig.command(Command(PUT_BACK, 8))
     assert rig.run(1)[0].status == Status.HELD
 
 
 def test_commands_of_another_rollout_and_a_second_request_to_be_put_back_do_nothing() -> None:
     rig = Rig()
-    rig.tell(Command(PUT_BACK, 7))
-    rig.tell(Command(ACTION, 6, (1.0, 0.0)))
+    rig.command(Command(PUT_BACK, 7))
+    rig.command(Command(ACTION, 6, (1.0, 0.0)))
     before = rig.run(10)[-1]
     assert before.status == Status.HELD
-    rig.tell(Command(PUT_BACK, 7))
+    rig.command(Command(PUT_BACK, 7))
     assert rig.run(1)[0].entries == before.entries
-    rig.tell(Command(STOP, 6))
+    rig.command(Command(STOP, 6))
     assert rig.run(1)[0].status == Status.HELD
-    rig.tell(Command(STOP, 7))
+    rig.command(Command(STOP, 7))
     assert rig.run(1)[0].status == Status.STOPPED
 
 
 def test_actions_take_effect_and_states_arrive_after_the_delay() -> None:
     rig = Rig(delay=0.02, jitter=0.004)
-    rig.tell(Command(PUT_BACK, 7))
-    rig.tell(Command(ACTION, 7, (1.0, 0.0)))
+    rig.command(Command(PUT_BACK, 7))
+    rig.command(Command(ACTION, 7, (1.0, 0.0)))
     arrivals = [(rig.now, state) for _ in range(60) for state in rig.run(1)]
     moved = next(state.stamp for _, state in arrivals if state.status == Status.MOVING)
     ages = [now - state.stamp for now, state in arrivals]
@@ -134,7 +134,7 @@ def test_actions_take_effect_and_states_arrive_after_the_delay() -> None:
 
 def test_noise_is_of_the_sensors_alone() -> None:
     rig = Rig(noise=0.1)
-    rig.tell(Command(PUT_BACK, 7))
+    rig.command(Command(PUT_BACK, 7))
     shown = np.array([state.entries for state in rig.run(4000)])
     assert np.allclose(shown.std(0), 0.1, rtol=4 / np.sqrt(2 * 4000))
 
@@ -170,9 +170,9 @@ def test_action_that_is_not_finite_is_refused(
     action: tuple, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = Rig()
-    rig.tell(Command(PUT_BACK, 7))
-    rig.tell(Command(ACTION, 7, action))
-    rig.tell(Command(ACTION, 7, action))
+    rig.command(Command(PUT_BACK, 7))
+    rig.command(Command(ACTION, 7, action))
+    rig.command(Command(ACTION, 7, action))
     assert capsys.readouterr().err.count("an action must be finite numbers") == 1
     assert rig.run(2)[-1].status == Status.HELD
 
@@ -181,8 +181,8 @@ def test_action_beyond_the_range_is_the_largest_one() -> None:
     moved = []
     for torque in (1e300, DoublePendulumEnv().action_spec.space.high[0].item()):
         rig = Rig()
-        rig.tell(Command(PUT_BACK, 7))
-        rig.tell(Command(ACTION, 7, (torque, 0.0)))
+        rig.command(Command(PUT_BACK, 7))
+        rig.command(Command(ACTION, 7, (torque, 0.0)))
         moved.append(rig.run(40)[-1].entries)
     assert moved[0] == moved[1]
 

@@ -76,9 +76,9 @@ def test_files_of_an_earlier_version_are_known_by_name_where_a_run_was(
     record: str, tmp_path: Path
 ) -> None:
     before = fill(tmp_path, (*OF_A_PERSON, *OF_A_RUN))
-    told = {"run.json": {"command": "pmil train"}, "summary.json": SUMMARY, "neither": {}}[record]
-    (tmp_path / (record if told else "summary.json")).write_text(json.dumps(told))
-    if told:
+    shown = {"run.json": {"command": "pmil train"}, "summary.json": SUMMARY, "neither": {}}[record]
+    (tmp_path / (record if shown else "summary.json")).write_text(json.dumps(shown))
+    if shown:
         clear_folder(tmp_path, overwrite=True)
         assert contents(tmp_path) == {name: before[name] for name in OF_A_PERSON}
         return

@@ -76,13 +76,13 @@ def misfit_of(path: Path) -> str:
     """
     trainer, saved = new_trainer(path.parents[1]), read_checkpoint(path)
     older = saved_checkpoints(trainer.rotation)[1]
-    with pytest.warns(RuntimeWarning, match="the one before it is taken") as told:
+    with pytest.warns(RuntimeWarning, match="the one before it is taken") as warned:
         assert trainer.resume(saved) == older
     older.unlink()
     with pytest.raises(CheckpointError) as error:
         new_trainer(path.parents[1]).resume(saved)
     assert "\n" not in str(error.value)
-    assert str(told[0].message) == f"{error.value}: the one before it is taken"
+    assert str(warned[0].message) == f"{error.value}: the one before it is taken"
     return str(error.value).removeprefix(f"checkpoint {path}: ")
 
 

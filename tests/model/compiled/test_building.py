@@ -106,11 +106,11 @@ def test_without_a_folder_all_is_compiled_with_one_warning(
     nowhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(config, "CACHE_DIR", str(nowhere))
-    with pytest.warns(RuntimeWarning, match=r"NUMBA_CACHE_DIR names another folder") as told:
+    with pytest.warns(RuntimeWarning, match=r"NUMBA_CACHE_DIR names another folder") as warned:
         assert new_kernel(monkeypatch)(21) == 42
         assert new_kernel(monkeypatch)(21) == 42
         assert compile_all() is None
-    assert len(told) == 1 and str(nowhere) in str(told[0].message)
+    assert len(warned) == 1 and str(nowhere) in str(warned[0].message)
 
 
 def test_compilation_is_told_once(

@@ -104,9 +104,9 @@ def test_damaged_cache_is_compiled_again_with_one_warning(
             path.chmod(0o622)
         else:
             path.write_bytes(b"" if damage == "empty" else content[:-1] + bytes([content[-1] ^ 1]))
-        with pytest.warns(RuntimeWarning, match=AGAIN) as told:
+        with pytest.warns(RuntimeWarning, match=AGAIN) as warned:
             assert hits() == 0
-        assert len(told) == 1
+        assert len(warned) == 1
     assert hits() == 1 and compile_all() == building._cache_folder() is not None
 
 
@@ -128,9 +128,11 @@ def test_folder_that_others_may_write_to_is_not_used(
     else:
         folder.chmod(0o720 if flaw == "group" else 0o702)
     building._cache_folder.cache_clear()
-    with pytest.warns(RuntimeWarning, match="can be written by this user alone, so every") as told:
+    with pytest.warns(
+        RuntimeWarning, match="can be written by this user alone, so every"
+    ) as warned:
         assert hits() == 0 and compile_all() is None
-    assert len(told) == 1
+    assert len(warned) == 1
     cache.chmod(0o1777)  # as /tmp
     building._cache_folder.cache_clear()
     assert flaw != "above" or hits() == 1
@@ -147,7 +149,7 @@ def test_full_disk_is_one_warning_and_the_numbers_are_right(
     folder = building._cache_folder()
     owner = UserProvidedCacheLocator if place == "ensure_cache_path" else _CheckedFiles
     monkeypatch.setattr(owner, place, full)
-    with pytest.warns(RuntimeWarning, match=f"cannot be kept in {folder} .*compiles it") as told:
+    with pytest.warns(RuntimeWarning, match=f"cannot be kept in {folder} .*compiles it") as warned:
         assert hits() == hits() == 0
         assert compile_all() is None
-    assert len(told) == 1 and files_in(cache) == []
+    assert len(warned) == 1 and files_in(cache) == []

@@ -18,7 +18,8 @@ from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.rollouts import rollout_of, states_of
-from torch_pmil.tasks.own_robot import STARTS, own_robot
+from torch_pmil.tasks.own_robot import own_robot
+from torch_pmil.tasks.own_starts import STARTS
 from torch_pmil.tasks.site_match import site_match
 
 AXES = ("x_x", "x_y", "x_z", "y_x", "y_y", "y_z")

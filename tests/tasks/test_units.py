@@ -92,6 +92,7 @@ def test_noise_of_an_entry_is_compared_with_its_own_unit() -> None:
     torch.testing.assert_close(made.noise_std, 0.05 * span)
     with pytest.warns(UserWarning, match="x hardly changes beside the other entries: .* units"):
         task(Slider(), shown)
+    assert (task(Slider(), shown, noise_std=0.01).noise_std == 0.01).all()  # and nothing is said
 
 
 WRONG = [

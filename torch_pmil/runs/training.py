@@ -152,9 +152,7 @@ def train(
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
         source = provenance(command)
         named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
-        write_settings(out, named | task.adjustable)
-        write_origin(out, source)
-        (out / "figures").mkdir(exist_ok=True)
+        _write_origin(out, named | task.adjustable, source)
         opened = None if logger is None else open_logger(logger, out, task.name, seed)
         if available():
             kernels()  # compiled before the progress bar stands
@@ -171,6 +169,13 @@ def train(
             if not ended:
                 saved = discard_newest(rotation)
         return _finish(trainer, task, out, {"seed": seed, **source}, trials)
+
+
+def _write_origin(out: Path, settings: Mapping[str, object], source: dict[str, object]) -> None:
+    """Write how the run was begun, and make the folder of its figures."""
+    write_settings(out, settings)
+    write_origin(out, source)
+    (out / "figures").mkdir(exist_ok=True)
 
 
 def _ended(trainer: PMILTrainer) -> bool:

@@ -45,5 +45,5 @@ def on_one_turn(
     recorded = unwrapped(recorded, turns, shown or {})
     holes = recorded.holes() if isinstance(recorded, Recordings) else []
     for doubt in [*holes, *jumps_by_turns(recorded)]:
-        warnings.warn(doubt, UserWarning, stacklevel=4)
+        warnings.warn(doubt, UserWarning, stacklevel=5)
     return recorded

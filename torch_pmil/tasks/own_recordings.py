@@ -93,6 +93,6 @@ def noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
             f"1 % of the largest range, {NOISE * LEAST_RANGE * largest[entry]:.3g}; give units "
             "if theirs differ, or noise_std",
             UserWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
     return NOISE * span.maximum(LEAST_RANGE * largest)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -13,32 +11,26 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.recovered_states import rates_of, recover_states, without_turns
+from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.demonstrations import (
-    DemonstrationError,
-)
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.seeds import Stream
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
+from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.unit_checks import check_units
 from torch_pmil.tasks.with_history import with_history
 
-STARTS = 20  # resets by which p(x_0) is estimated
-LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
-LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
-UNMOVED = 1e-6  # standard deviation of the start of an entry that is always 0
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
@@ -46,8 +38,6 @@ ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 
 TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
-
-Robot = OneRobot | MujocoRobot
 
 
 def own_robot(
@@ -135,64 +125,85 @@ def own_robot(
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot = _robot(env, control_period, observed, steps_per_action)
-    control_period = robot.control_period
     if robot.dim != len(space.names):
         raise ValueError(
             f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
             f"{', '.join(observed)}"
         )
-    starts, near = None, settings["initial"].mean if "initial" in settings else None
-    if settings.setdefault("evaluated", not robot.physical):
-        starts = _starts(robot, observed, space.names, 1 if near is not None else STARTS)
-        beside = starts[0] if near is None else near
-        starts = without_turns(starts[:, None], beside, space.angles)[:, 0]
-        near = starts.mean(0)
-    by_entry = {} if starts is None else dict(zip(space.names, starts.mT, strict=True))
-    bounds = dict(zip(observed, robot.bounds, strict=True))
-    check_units(recorded, dict(zip(space.names, space.units, strict=True)), by_entry, bounds)
-    recorded = on_one_turn(recorded, space, near)
-    if near is None:
-        near = torch.zeros(space.dim, dtype=torch.float64)
-    adapted, rates = robot(), rates_of(space.names)
-    velocities = {space.names[rate] for rate in rates}
-    shown = fitting(at_control_rate(recorded, control_period, velocities), space, adapted)
-    states = recover_states(space.match_space, shown.positions, control_period, near, rates)
-    if isinstance(robot, OneRobot):
-        robot.turning_entries = turning(
-            observed, space, states[:, 0].mean(0) if starts is None else near
-        )
-    of_task = {entry.name for entry in fields(Task)}
-    given = {name: value for name, value in settings.items() if name in of_task}
-    chosen = {name: value for name, value in settings.items() if name not in of_task}
-    noise_std = torch.as_tensor(
-        given.pop("noise_std", noise(shown, space.match_space.units)), dtype=torch.float64
-    )
-    marginals = expert_distribution(shown, noise_std)
-    by_name = _held(actions_of(adapted), space)
-    held = robot.held if isinstance(robot, MujocoRobot) else by_name
-    defaults: dict[str, Any] = {
-        "name": robot.name,
-        "actions": actions_of(adapted),
-        "holding_actions": held,
-        "held_states": None if held is None else states.flatten(0, 1),
-        "demonstrated_states": states.flatten(0, 1),
-        "error": of_states(partial(deviation, demonstrated=marginals, space=space)),
-        "tolerance": TOLERANCE,
-        "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
-        "draws": robot.draws,
-    }
-    if "initial" not in given:
-        defaults["initial"] = _start(starts, states, space.names)
-    fixed: dict[str, Any] = {"make_env": robot, "space": space, "demonstrations": shown}
-    task = Task(**fixed, noise_std=noise_std, **(defaults | given))
-    if task.promised is None:
-        chosen = {"confirmations": CONFIRMATIONS, **chosen}
-    task = task.with_settings(**chosen)
+    settings.setdefault("evaluated", not robot.physical)
+    starts = starts_of(robot, observed, space, settings)
+    shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
+    task = _task(robot, space, shown, states, starts, settings)
     if not (past_entries or past_actions or positions_only):
         return task
     return with_history(
         task, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
     )
+
+
+def _demonstrated(
+    recorded: Demonstrations | Recordings,
+    robot: Robot,
+    observed: Sequence[str],
+    space: StateSpace,
+    starts: Tensor | None,
+    settings: Mapping[str, Any],
+) -> tuple[Demonstrations, Tensor]:
+    """Demonstrations at the robot's rate and turn, and the states (N, T + 1, D) that show them."""
+    units = dict(zip(space.names, space.units, strict=True))
+    by_entry = {} if starts is None else dict(zip(space.names, starts.mT, strict=True))
+    check_units(recorded, units, by_entry, dict(zip(observed, robot.bounds, strict=True)))
+    near = settings["initial"].mean if "initial" in settings else None
+    if starts is not None:
+        near = starts.mean(0)
+    recorded = on_one_turn(recorded, space, near)
+    period, rates = robot.control_period, rates_of(space.names)
+    velocities = {space.names[rate] for rate in rates}
+    shown = fitting(at_control_rate(recorded, period, velocities), space, robot())
+    begin = torch.zeros(space.dim, dtype=torch.float64) if near is None else near
+    states = recover_states(space.match_space, shown.positions, period, begin, rates)
+    if isinstance(robot, OneRobot):
+        first = states[:, 0].mean(0) if starts is None else begin
+        robot.turning_entries = turning(observed, space, first)
+    return shown, states
+
+
+def _task(
+    robot: Robot,
+    space: StateSpace,
+    shown: Demonstrations,
+    states: Tensor,
+    starts: Tensor | None,
+    settings: Mapping[str, Any],
+) -> Task:
+    """The task of these settings, by default those that robot and demonstrations suggest."""
+    of_task = {entry.name for entry in fields(Task)}
+    given = {name: value for name, value in settings.items() if name in of_task}
+    chosen = {name: value for name, value in settings.items() if name not in of_task}
+    if "noise_std" not in given:
+        given["noise_std"] = noise(shown, space.match_space.units)
+    given["noise_std"] = torch.as_tensor(given["noise_std"], dtype=torch.float64)
+    if "initial" not in given:
+        given["initial"] = start_of(starts, states, space.names)
+    marginals, actions = expert_distribution(shown, given["noise_std"]), actions_of(robot())
+    held = robot.held if isinstance(robot, MujocoRobot) else _held(actions, space)
+    demonstrated = states.flatten(0, 1)
+    defaults: dict[str, Any] = {
+        "name": robot.name,
+        "actions": actions,
+        "holding_actions": held,
+        "held_states": None if held is None else demonstrated,
+        "demonstrated_states": demonstrated,
+        "error": of_states(partial(deviation, demonstrated=marginals, space=space)),
+        "tolerance": TOLERANCE,
+        "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
+        "draws": robot.draws,
+    }
+    fixed: dict[str, Any] = {"make_env": robot, "space": space, "demonstrations": shown}
+    task = Task(**fixed, **(defaults | given))
+    if task.promised is None:
+        chosen = {"confirmations": CONFIRMATIONS, **chosen}
+    return task.with_settings(**chosen)
 
 
 def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tensor:
@@ -247,24 +258,6 @@ def _pairs(observed: Sequence[str]) -> list[CosSin]:
     return [CosSin(cos, names.index(sin)) for cos, sin in zip(cosines, sines, strict=True)]
 
 
-def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], resets: int) -> Tensor:
-    """States of the robot after resets, (resets, D); its angles are near them from now on."""
-
-    def after_resets() -> Tensor:
-        env = robot(seed=Stream.RESETS)
-        return torch.stack([env.reset()["observation"] for _ in range(resets)])
-
-    states = after_resets()
-    if robot.angles:
-        turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
-        near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
-        robot.angles = tuple(
-            replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
-        )
-        states = after_resets()
-    return states
-
-
 def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor] | None:
     """Actions that hold a robot whose servos take targets of entries of the state, in its units."""
     if not set(actions.names) <= set(state.names):
@@ -274,25 +267,3 @@ def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor]
         if unit and unit not in ((state.units[entry],) if state.units[entry] else TARGET_UNITS):
             return None
     return lambda states: states[..., entries]
-
-
-def _start(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
-    """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
-
-    No robot starts twice the same: the standard deviations are at least a share of the largest
-    demonstrated value.
-    """
-    share = LEAST_START
-    if starts is None:
-        starts, share = states[:, 0], LEAST_START_BY_HAND
-    least = share * states.flatten(0, -2).abs().amax(0)
-    std = starts.std(0).maximum(least)
-    for name in itertools.compress(names, std == 0):
-        warnings.warn(
-            f"{name} starts at 0 each time and is not demonstrated, so its size is unknown: give "
-            "initial, with a standard deviation as large as it becomes, or policy and model may "
-            "not see it",
-            UserWarning,
-            stacklevel=4,
-        )
-    return independent_start(starts.mean(0), torch.where(std > 0, std, UNMOVED))

@@ -83,17 +83,11 @@ def check_velocities(
     Raises:
         ValueError: another reading of the names or of their units explains the changes.
     """
-    names, change = space.names, states.diff(dim=0)
-    sums = period * (states[:-1] + states[1:]) / 2
+    names = space.names
     rates = {k: of for k, of in rates_of(names).items() if names[k] not in hidden}
-    for rate, position in rates.items():
-        if position in space.angles:  # which may have been continued by a wrong velocity
-            apart = within_half_a_turn(change[:, position] - sums[:, rate])
-            right = apart.square().mean() < 1
-            turned = sums[:, rate] + apart if right else within_half_a_turn(change[:, position])
-            change[:, position] = turned
+    change = _changes(states, space, period, rates)
     noise = change.diff(dim=0).square().mean(0).sqrt() / math.sqrt(6)  # at most
-    moved, summed = _windows(change), _windows(sums)
+    moved, summed = _windows(change), _windows(_sums(states, period))
     rms = moved.square().mean(0).sqrt()
 
     def differ(position: int, rate: int, factor: float | Tensor = 1.0) -> float:
@@ -129,6 +123,23 @@ def check_velocities(
             RuntimeWarning,
             stacklevel=5,
         )
+
+
+def _sums(states: Tensor, period: float) -> Tensor:
+    """Changes (T, D) in each step of what the entries of states (T + 1, D) are velocities of."""
+    return period * (states[:-1] + states[1:]) / 2
+
+
+def _changes(states: Tensor, space: StateSpace, period: float, rates: dict[int, int]) -> Tensor:
+    """Changes (T, D) of states (T + 1, D) in each step."""
+    change, sums = states.diff(dim=0), _sums(states, period)
+    for rate, position in rates.items():
+        if position in space.angles:  # which may have been continued by a wrong velocity
+            apart = within_half_a_turn(change[:, position] - sums[:, rate])
+            right = apart.square().mean() < 1
+            turned = sums[:, rate] + apart if right else within_half_a_turn(change[:, position])
+            change[:, position] = turned
+    return change
 
 
 def _ranges(task: Task, tried: Tensor) -> tuple[dict, dict, dict, float]:

@@ -152,7 +152,7 @@ def _check_starts(name: str, first: Tensor, starts: Tensor, unit: str) -> None:
             f"{unit}".rstrip()
             + "; if so, convert the recordings",
             UserWarning,
-            stacklevel=5,
+            stacklevel=6,
         )
 
 

@@ -31,6 +31,7 @@ from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.runs import pictures, settings
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.own_files import LIST
 from torch_pmil.runs.settings import word_of
 from torch_pmil.runs.training import RunResult, train as learn
 from torch_pmil.search import policy_search, trial_search
@@ -81,7 +82,7 @@ def test_run_leaves_numbers_policy_figures_and_a_video(
     logged = {name for name in files if name.startswith(("run/checkpoints/", scalars))}
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
     assert {f"{scalars}loss.csv", f"{scalars}own_error.csv"} <= logged
-    assert files - logged == {f"run/{name}" for name in FILES} | figures
+    assert files - logged == {f"run/{name}" for name in (*FILES, LIST)} | figures
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("pmil train trials=1 seed=2 out=run", 2)
     printed = capsys.readouterr().out

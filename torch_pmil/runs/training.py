@@ -136,7 +136,6 @@ def train(
     identity = _identity(task, seed)
     rotation = rotation_in(out / "checkpoints", identity)
     rotation.announce = lambda name: own(out, f"checkpoints/{name}")
-
     before = None if isinstance(resume, bool) else _of_another(Path(resume), out, identity)
 
     def record(trial: Trial) -> None:
@@ -144,12 +143,7 @@ def train(
         on_trial(trial)
 
     with alone_in(out), torchrl_warnings_alone():
-        check_free(out)
-        remove_debris(out)
-        saved = _same_run(rotation, identity) if resume is True else None
-        if resume is not True:
-            clear_folder(out, overwrite)
-        (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
+        saved = _taken(out, rotation, identity, resume is True, overwrite)
         source = provenance(command)
         named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
         _write_origin(out, named | task.adjustable, source)
@@ -169,6 +163,19 @@ def train(
             if not ended:
                 saved = discard_newest(rotation)
         return _finish(trainer, task, out, {"seed": seed, **source}, trials)
+
+
+def _taken(
+    out: Path, rotation: RunRotation, identity: dict[str, object], resume: bool, overwrite: bool
+) -> SavedRun | None:
+    """Clear the folder for a new run, or return the checkpoint of the one that continues there."""
+    check_free(out)
+    remove_debris(out)
+    saved = _same_run(rotation, identity) if resume else None
+    if not resume:
+        clear_folder(out, overwrite)
+    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
+    return saved
 
 
 def _write_origin(out: Path, settings: Mapping[str, object], source: dict[str, object]) -> None:

@@ -109,7 +109,7 @@ def variations() -> dict[str, Variation]:
     policy, search = task.method.policy, task.method.search
     at_once = replace(
         search,
-        first_horizon=task.horizon,
+        first_horizon=1.0,
         mean_iterations=AT_ONCE * search.mean_iterations,
         stage_iterations=AT_ONCE * search.stage_iterations,
     )

@@ -57,11 +57,11 @@ TOLERATED = 1.25  # rms distance from the mean demonstration, over the demonstra
 RANDOM_ACTION = 0.12  # of half the range of the targets
 LEAST_WIDTHS = (0.3, 0.5)  # rad, rad/s
 SEARCH = SearchSettings(
-    mean_iterations=0, stage_iterations=20, final_iterations=40, trust_threshold=6.0
+    mean_iterations=0, stage_iterations=20, final_iterations=40, trust_threshold=1.0
 )
 COST_WIDTH, MOST_SPEED = 0.5, 3.0  # of PILCO's cost: rad, rad/s
 # as many iterations, all over the whole horizon: the first policy is not far from the last pose
-COST_SEARCH = replace(SEARCH, first_horizon=int(RATE * DURATION), skip_matched_steps=False)
+COST_SEARCH = replace(SEARCH, first_horizon=1.0, skip_matched_steps=False)
 
 Array = NDArray[np.float64]
 
@@ -288,11 +288,6 @@ def spread(shown: Demonstrations) -> float:
 class ArmPilco(PilcoTask):
     """The motion's last pose by PILCO's cost, with the first policy and motion of the imitation."""
 
-    @property
-    def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) in the model's data, as in the imitation."""
-        return super(PilcoTask, self).limits
-
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states."""
         return self.policy_near(self.demonstrated_inputs, generator)
@@ -307,7 +302,6 @@ def pilco_experiment(arm: Arm) -> ArmPilco:
         target=task.demonstrations.positions[:, -1].mean(0),
         cost_width=COST_WIDTH,
         velocity_std=MOST_SPEED,
-        velocity_limit=MOST_SPEED,
     )
 
 

@@ -120,7 +120,7 @@ def replayed(folder: Path, experiment: Task, samples: int) -> dict[str, Any]:
     """
     recorded = recording(folder, experiment)
     explored = recorded.explored.flatten()
-    model = _GrowingModel(experiment, len(explored))
+    model = _GrowingModel(experiment)
     model.learn(explored)
     policies = recorded.policies(experiment)
     rows = zip(recorded.trials, recorded.rollouts, policies, strict=True)
@@ -139,19 +139,17 @@ class _GrowingModel:
 
     Args:
         experiment: of the run.
-        explored: transitions of its first motion.
     """
 
-    def __init__(self, experiment: Task, explored: int) -> None:
-        self.experiment, self.explored = experiment, explored
+    def __init__(self, experiment: Task) -> None:
+        self.experiment = experiment
         self.dynamics, self.experience = experiment.make_dynamics(), Experience(LARGEST)
 
     def learn(self, transitions: TensorDictBase) -> None:
-        """Fit the model to these transitions (n,) too; the first ones are the first motion's."""
+        """Fit the model to these transitions (n,) too."""
         self.experience.extend(transitions)
         experiment, model = self.experiment, self.dynamics
-        data = self.experience.data_for(model, experiment.space, experiment.limits, self.explored)
-        model.fit(*data)
+        model.fit(*self.experience.data_for(model, experiment.space))
 
 
 def _replayed_trial(

@@ -37,12 +37,10 @@ FACTORS = {"halved": 0.5, "doubled": 2}
 def variants() -> dict[str, Task]:
     """The double pendulum as it is, and with each setting halved and doubled, by their names.
 
-    Whole numbers stay whole: half of 5 is 2.
-
     Example:
         >>> tasks = variants()
-        >>> tasks["search.first_horizon halved"].search.first_horizon, len(tasks)
-        (2, 23)
+        >>> tasks["search.first_horizon halved"].method.search.first_horizon, len(tasks)
+        (0.1, 23)
     """
     task = load_experiment("double_pendulum")
     known: dict[str, Any] = task.adjustable

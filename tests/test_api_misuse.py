@@ -133,7 +133,7 @@ WORLD = GPWorldModel(2, 1)
 TIMES = torch.arange(5.0)
 WALK = TIMES[:, None]
 TWO = np.zeros(2)
-LIMITS, POSITIONS = ones(2), zeros(2, 5, 1)
+POSITIONS = zeros(2, 5, 1)
 WEIGHTS, PATHS = full(0, 5, 3), zeros(1, 8, 2)
 PLAN = SearchSettings(1, 1, 1)
 FRAMES = [np.zeros((16, 16, 3), dtype=np.uint8)]
@@ -218,13 +218,11 @@ def transitions(count: int = 4, **changes: object) -> TensorDict:
     return TensorDict(whole | changes, [count])
 
 
-def training_data(
-    filled: bool = True, targets: str = "difference", limits: Tensor = LIMITS
-) -> object:
+def training_data(filled: bool = True, targets: str = "difference") -> object:
     experience = Experience(9)
     if filled:
         experience.extend(transitions())
-    return experience.training_data(SPACE, targets, limits)
+    return experience.training_data(SPACE, targets)
 
 
 def predicted(
@@ -559,8 +557,6 @@ MISUSES: list[Misuse] = [
         transitions(next={"observation": zeros(4, 3)}),
     ),
     *wrong(training_data, "experience must hold a", filled=[False]),
-    *wrong(training_data, "limits must have shape (2,),", limits=[ones(3)]),
-    *wrong(training_data, "limits must be numbers that", limits=[numbers(NAN, 1)]),
     *wrong(training_data, 'targets must be "difference"', targets=["delta"]),
     *wrong(predicted, "horizon must be a whole number of at least 1, got 0", horizon=[0]),
     *wrong(predicted, "horizon must be a whole number of at least 1, got 2.5", horizon=[2.5]),
@@ -773,8 +769,6 @@ MISUSES: list[Misuse] = [
         "tolerance must be a finite number that is not negative, got",
         tolerance=[NAN, -1.0],
     ),
-    *wrong(trainer, "limits must have shape (4,), got (3,)", limits=[ones(3)]),
-    *wrong(trainer, "limits must be numbers that are not negative,", limits=[full(NAN, 4)]),
     *wrong(trainer, "initial must be over the 4 entries of the state, like", initial=[sure(0.0)]),
     *wrong(
         trainer, "mean of initial must be finite, got nan in entry", initial=[sure(NAN, 0, 0, 0)]

@@ -94,8 +94,6 @@ class InverseDynamicsLearner:
         space: of the robot's states.
         reference: what to track.
         u_max: torque limits (F,), N·m.
-        limits: of the state (D,); transitions from beyond are experience, but no data of the model,
-            as for the forward model.
         time_step: between control steps, s.
     """
 
@@ -104,13 +102,12 @@ class InverseDynamicsLearner:
         space: StateSpace,
         reference: Reference,
         u_max: Tensor,
-        limits: Tensor,
         time_step: float,
     ) -> None:
         self.inverse = InverseDynamics(space)
         self.controller = TrackingController(self.inverse, reference, u_max)
         self.reference = reference
-        self.limits, self.time_step = limits, time_step
+        self.time_step = time_step
         self.experience: list[Motion] = []
 
     @property
@@ -140,10 +137,4 @@ class InverseDynamicsLearner:
     def _transitions(self, motion: Motion) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """States, next ones, next accelerations and torques, (n, ...) each."""
         accelerations = accelerations_from_velocities(motion.states[:, 1::2], self.time_step)
-        inside = (motion.states[:-1].abs() <= self.limits).all(-1)
-        return (
-            motion.states[:-1][inside],
-            motion.states[1:][inside],
-            accelerations[1:][inside],
-            motion.torques[inside],
-        )
+        return motion.states[:-1], motion.states[1:], accelerations[1:], motion.torques

@@ -143,7 +143,7 @@ def make_learner(experiment: Task, hold: int) -> InverseDynamicsLearner:
     dmp = DMP.from_demonstrations(joint_trajectories(experiment), time_step, NUM_BASIS)
     reference = dmp_reference(dmp, experiment.horizon, time_step, hold)
     return InverseDynamicsLearner(
-        experiment.space, reference, experiment.actions.half_range, experiment.limits, time_step
+        experiment.space, reference, experiment.actions.half_range, time_step
     )
 
 

@@ -23,17 +23,13 @@ class ModelPeer(Peer):
     def __init__(self, experiment: Task, seed: int, dynamics: GPDynamics | None = None) -> None:
         super().__init__(experiment, seed)
         self.dynamics = experiment.make_dynamics() if dynamics is None else dynamics
-        self.experience, self._explored = Experience(CAPACITY), 0
+        self.experience = Experience(CAPACITY)
 
     def add(self, rollout: TensorDictBase) -> None:
         """Add an own rollout (T,)."""
         super().add(rollout)
         self.experience.extend(rollout)
-        if len(self.rollouts) <= self.experiment.exploration.rollouts:
-            self._explored = len(self.experience)
 
     def fit_model(self) -> None:
         """Fit the model to all transitions so far."""
-        space, limits = self.experiment.space, self.experiment.limits
-        data = self.experience.data_for(self.dynamics, space, limits, self._explored)
-        self.dynamics.fit(*data)
+        self.dynamics.fit(*self.experience.data_for(self.dynamics, self.experiment.space))

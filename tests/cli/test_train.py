@@ -135,7 +135,7 @@ def finished(short_double_pendulum: None, monkeypatch: pytest.MonkeyPatch) -> No
     """Training is over at once: what it would return and leave is there."""
     experiment = short_experiment(6)
     outcome = Outcome("", experiment.demonstrations, experiment.demonstrated, None, None, None)
-    result = RunResult(SUMMARY, [], [outcome], None, None)
+    result = RunResult(SUMMARY, [], [outcome], None, None, experiment)
 
     def saved(experiment: object, seed: int, trials: int, out: Path, *rest: object, **_: object):
         (out / "figures").mkdir(parents=True)
@@ -409,14 +409,14 @@ def test_run_leaves_the_settings_that_make_it_again(
 ) -> None:
     replace_task(monkeypatch, short_experiment(4))
     quick_fits(monkeypatch)
-    script("trials=1", "seed=2", "out=run", "noise_std=0.2", "search.horizon_step=1")
+    script("trials=1", "seed=2", "out=run", "noise_std=0.2", "search.horizon_step=0.5")
     script("settings=run/settings.yaml", "out=again")
     script("settings=run/settings.yaml", "seed=3", "out=other")
     run, again, other = (
         json.loads(Path(name, "summary.json").read_text()) for name in ("run", "again", "other")
     )
     assert run["settings"] == again["settings"] == other["settings"]
-    assert run["settings"]["noise_std"] == 0.2 and run["settings"]["search"]["horizon_step"] == 1
+    assert run["settings"]["noise_std"] == 0.2 and run["settings"]["search"]["horizon_step"] == 0.5
     assert run["loss_per_step"] == again["loss_per_step"] != other["loss_per_step"]
     assert Path("run/settings.yaml").read_text().startswith('experiment: "double_pend')
     folder = Path("other").resolve()

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from tests.helpers.short_run import STEPS, short_experiment
+from tests.helpers.short_run import short_experiment
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
 from torch_pmil.search.policy_search import SearchSettings
@@ -92,6 +92,6 @@ class Attended:
 
     def experiment(self, **changes: Any) -> Task:
         """The first steps of the double pendulum, judged by the robot's own rollouts."""
-        search = SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
+        search = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=1e-9)
         task = short_experiment(search=search, evaluated=False, **changes)
         return replace(task, make_env=self, draws=False)

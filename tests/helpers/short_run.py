@@ -63,7 +63,7 @@ def shortened(task: Task, steps: int, **changes: object) -> Task:
         changes: settings and groups of them, and fields of the task.
     """
     shown = replace(task.demonstrations, positions=task.demonstrations.positions[:, : steps + 1])
-    quick = SearchSettings(1, 1, 1, first_horizon=steps)
+    quick = SearchSettings(1, 1, 1, first_horizon=1.0)
     return changed(task, **{"demonstrations": shown, "num_centres": 5, "search": quick} | changes)
 
 
@@ -88,7 +88,7 @@ def replace_task(patch: pytest.MonkeyPatch, task: Task, name: str = "double_pend
 
 def stalling(name: str = "double_pendulum", **changes: object) -> Task:
     """A short task of which no step counts as matched: searches stall and begin anew."""
-    search = SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
+    search = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=1e-9)
     return short_experiment(name=name, search=search, **changes)
 
 

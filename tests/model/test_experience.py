@@ -14,11 +14,10 @@ from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.experience import Experience, widened
+from torch_pmil.model.experience import Experience
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
-NO_LIMITS = torch.full((2,), torch.inf, dtype=torch.float64)
 KEYS = ("observation", "action", ("next", "observation"))
 
 
@@ -69,7 +68,7 @@ def test_later_changes_of_a_batch_do_not_reach_the_experience(transitions: Tenso
 def test_training_data_are_features_and_action_and_where_they_led(
     transitions: TensorDict, targets: str
 ) -> None:
-    inputs, outputs = filled(transitions).training_data(SPACE, targets, NO_LIMITS)
+    inputs, outputs = filled(transitions).training_data(SPACE, targets)
     (q, dq), u = transitions["observation"].unbind(-1), transitions["action"][:, 0]
     successor = transitions["next", "observation"]
     assert_close(inputs, torch.stack([dq, q.sin(), q.cos(), u], -1), rtol=0, atol=0)
@@ -77,71 +76,12 @@ def test_training_data_are_features_and_action_and_where_they_led(
     assert_close(outputs, expected, rtol=0, atol=0)
 
 
-def test_limits_leave_out_transitions_that_start_beyond_them_only(transitions: TensorDict) -> None:
-    """Those that end beyond stay: that an action leads out is worth knowing."""
-    transitions["observation"][:] = 0.5
-    transitions["next", "observation"][:] = 0.5
-    transitions["observation"][1, 1] = 1.1
-    transitions["observation"][2, 1] = -1.1
-    transitions["observation"][3, 1] = 1.0
-    transitions["observation"][4, 0] = 100.0  # the angle has no limit
-    transitions["next", "observation"][5, 1] = 3.0
-    limits = torch.tensor([torch.inf, 1.0], dtype=torch.float64)
-    experience = filled(transitions)
-    inputs, successors = experience.training_data(SPACE, "successor", limits)
-    kept = [0, 3, 4, 5, 6]
-    assert torch.equal(inputs[:, -1], transitions["action"][kept, 0])
-    assert torch.equal(successors, transitions["next", "observation"][kept])
-    assert len(experience) == 7
-
-
-def test_limits_that_leave_enough_of_the_exploration_stay_bit_for_bit(draws: Draws) -> None:
-    explored, limits = 5 * draws.normal(20, 3), draws.normal(3).abs() + 3
-    inside = int((explored.abs() <= limits).all(-1).sum())
-    assert 0 < inside < 10  # or nothing would be widened
-    assert torch.equal(widened(limits, explored, fewest=inside), limits)
-    assert not torch.equal(widened(limits, explored, fewest=inside + 1), limits)
-
-
-@pytest.mark.parametrize("limit", [0.0, 1e-300, 1e-3])
-@pytest.mark.parametrize("count", [1, 2, 7, 20])
-def test_limits_that_leave_too_little_leave_all_of_the_exploration(
-    draws: Draws, limit: float, count: int
-) -> None:
-    """Those of a robot that stays where it is are next to zero, and leave nothing."""
-    explored = draws.normal(count, 3)
-    limits = torch.tensor([limit, torch.inf, 2 * limit], dtype=torch.float64)
-    farthest = explored.abs().amax(0)
-    expected = torch.stack([farthest[0], limits[1], farthest[2]])
-    assert torch.equal(widened(limits, explored, fewest=8), expected)
-
-
-def test_limits_never_shrink(draws: Draws) -> None:
-    explored, limits = draws.normal(20, 2), torch.tensor([9.0, 1e-3], dtype=torch.float64)
-    assert widened(limits, explored, fewest=8)[0] == 9
-
-
-@pytest.mark.parametrize("explored", [4, 7])
-def test_data_of_a_model_are_those_within_limits_widened_by_the_exploration(
-    transitions: TensorDict, explored: int
-) -> None:
-    transitions["observation"][:, 1] = torch.tensor([0.0, 0.1, 0.2, 2.0, 3.0, 1.5, 0.3])
-    dynamics = GPDynamics(num_inputs=4, num_outputs=2)
-    limits = torch.tensor([torch.inf, 1.0], dtype=torch.float64)
-    inputs, targets = filled(transitions).data_for(dynamics, SPACE, limits, explored)
-    # three of the first four transitions are too few for a model of four inputs, four of seven not
-    kept = [0, 1, 2, 3, 5, 6] if explored == 4 else [0, 1, 2, 6]
-    assert torch.equal(inputs[:, 0], transitions["observation"][kept, 1])
-    moved = transitions["next", "observation"] - transitions["observation"]
-    assert torch.equal(targets, moved[kept])
-
-
 def test_known_part_of_a_model_learns_from_its_data(transitions: TensorDict) -> None:
     known = KnownPart.of_velocities(NAMES, {"q": "dq"}, num_actions=1, time_step=0.1)
     dynamics, states = GPDynamics(4, 1, known), transitions["observation"]
     successors = transitions["next", "observation"]
     successors[:, 0] = states[:, 0] + 0.02 * states[:, 1] + 0.07 * successors[:, 1]
-    _, targets = filled(transitions).data_for(dynamics, SPACE, NO_LIMITS, explored=7)
+    _, targets = filled(transitions).data_for(dynamics, SPACE)
     expected = torch.tensor([[0.02, 0.07]], dtype=torch.float64)
     assert_close(dynamics.known_part(SPACE).rule, expected, rtol=0, atol=1e-5)
     assert torch.equal(targets, (successors - states)[:, 1:])
@@ -149,7 +89,7 @@ def test_known_part_of_a_model_learns_from_its_data(transitions: TensorDict) -> 
 
 def test_no_transitions_are_no_data_of_a_model() -> None:
     with pytest.raises(ValueError, match="a transition at least, got none"):
-        Experience(3).data_for(GPDynamics(4, 2), SPACE, NO_LIMITS, explored=0)
+        Experience(3).data_for(GPDynamics(4, 2), SPACE)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])

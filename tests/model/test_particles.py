@@ -204,7 +204,7 @@ def test_losses_are_computed_from_the_particles_and_by_default_from_matched_mome
 
 def test_search_on_particles_lowers_the_loss_and_repeats_itself(draws: Draws) -> None:
     state = draws.belief(2, scale=0.02)
-    settings = SearchSettings(3, 3, 3, first_horizon=2, horizon_step=2)
+    settings = SearchSettings(3, 3, 3, first_horizon=0.4, horizon_step=0.4)
     before = make_kl(0, prediction=ParticlePrediction(20)).per_step(state).sum().item()
     one, other = (
         search_policy(make_kl(0, prediction=ParticlePrediction(20)), state, settings)

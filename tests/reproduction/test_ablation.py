@@ -118,7 +118,7 @@ def test_loss_and_model_are_of_the_kind_that_is_varied(varied: dict[str, Variati
     assert not varied["successors"].make_dynamics().targets.matrix.any()
     particles = make_trainer(varied["particles"], 0, 1, False, print).loss_module
     assert particles.prediction == ParticlePrediction(PARTICLES)
-    assert varied["no_growing_horizon"].method.search.first_horizon == varied["ours"].horizon
+    assert varied["no_growing_horizon"].method.search.first_horizon == 1.0
     assert varied["no_mean_start"].method.search.mean_iterations == 0
 
 

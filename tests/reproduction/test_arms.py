@@ -88,4 +88,3 @@ def test_baseline_has_the_cost_of_the_last_pose_and_the_same_first_motion() -> N
     task, pilco = arm_experiment(UR5E), arms.pilco_experiment(UR5E)
     assert torch.equal(pilco.target, task.demonstrations.positions[:, -1].mean(0))
     assert torch.equal(pilco.exploration.around, task.exploration.around)
-    assert torch.equal(pilco.limits, task.limits)

@@ -72,7 +72,7 @@ def test_report_of_a_short_run_has_its_figures_in_degrees(
     def no_pictures(*_: object) -> None:
         raise RuntimeError("no OpenGL")
 
-    search = SearchSettings(0, 1, 1, first_horizon=18)
+    search = SearchSettings(0, 1, 1, first_horizon=1.0)
     short = changed(load_experiment("biorob"), num_centres=5, search=search)
     quick_fits(monkeypatch)
     run(tmp_path, task=short, seed=0, trials=1)

@@ -87,7 +87,7 @@ def test_measurement_of_something_else_is_an_error(tmp_path: Path) -> None:
 def test_short_study_learns_measures_and_goes_on(
     study: TargetStudy, experiment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = short_experiment(STEPS, experiment, search=SearchSettings(0, 1, 1, first_horizon=STEPS))
+    short = short_experiment(STEPS, experiment, search=SearchSettings(0, 1, 1, first_horizon=1.0))
     quick_fits(monkeypatch)
     study = replace(study.quick, trials=1, experiment=lambda: short)
     (run,) = study.needed_runs(tmp_path)

@@ -77,5 +77,5 @@ def test_what_shows_a_prediction_is_left_out_where_there_is_none(
     nothing = Gaussian(torch.full(shape, torch.nan), torch.full((*shape, 4), torch.nan))
     rollouts = task.robots(2, seed=100).rollout(task.horizon)
     outcomes = task.outcomes(nothing, rollouts, task.error(rollouts))
-    result = RunResult({}, [], outcomes, policy=None, dynamics=None)
+    result = RunResult({}, [], outcomes, policy=None, dynamics=None, task=None)
     assert {"kl_per_step", "policy"}.isdisjoint(dict(figures_of(task, result)))

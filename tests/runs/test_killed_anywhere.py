@@ -71,7 +71,7 @@ def run(folder: Path) -> None:
     np.random.seed(0)
     random.seed(0)
     settings = RunSettings(seed=SEED, trials=TRIALS, out=str(folder), resume=True, logger="csv")
-    task = short_experiment(STEPS, search=SearchSettings(0, 1, 1, first_horizon=STEPS))
+    task = short_experiment(STEPS, search=SearchSettings(0, 1, 1, first_horizon=1.0))
     with alone_in(folder):
         result = train.learned("", False, task, settings, COMMAND)
         train.show("", task, result, folder)

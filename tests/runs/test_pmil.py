@@ -26,7 +26,7 @@ from torch_pmil.runs.run_folder import FinishedRunError
 from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 SPACE = double_pendulum_space()
-SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=25)
+SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=1.0)
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_a_robot_that_keeps_time_learns_stops_goes_on_and_is_measured(
     )
     ways = torch.stack([torch.linspace(0, end, 11).double() for end in (0.1, 0.11)])[..., None]
     shown = Demonstrations(ways, 0.02, ("x",))
-    settings = {"search": replace(SHORT, first_horizon=10), "num_centres": 5, "confirmations": 9}
+    settings = {"search": replace(SHORT, first_horizon=1.0), "num_centres": 5, "confirmations": 9}
     learner = PMIL(env, shown, 0.02, **settings)
     assert cart.sent == [] and asked.asked == 0
     with pytest.raises(RunStopped):

@@ -76,12 +76,16 @@ def test_experiment_with_its_own_settings_is_the_same(name: str) -> None:
     assert own.with_settings(**given).settings == own.settings
 
 
+OF_SHARES = {"random_action": 1, "promise": 0.5}
+OF_SHARES |= {"search.first_horizon": 0.5, "search.horizon_step": 0.5}
+
+
 @pytest.mark.parametrize("name", OF_TASK)
 def test_each_setting_can_be_set_and_is_in_the_summary_and_no_other_changes(name: str) -> None:
     own = task_with(name)
     present = own.adjustable[name]
     value = other([1.0] * len(own.space.feature_names) if present is None else present)
-    value = {"random_action": 1, "promise": 0.5}.get(name, value)
+    value = OF_SHARES.get(name, value)
     changed = own.with_settings(**{name: value})
     assert in_summary(changed, name) == value
     assert {**changed.adjustable, name: None} == {**own.adjustable, name: None}

@@ -16,7 +16,7 @@ from torch_pmil.search.admission import admit
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=4)
+HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=1.0)
 
 INITIAL = belief_at_one(1e-4)
 Searched = tuple[TrajectoryLoss, SearchResult]

@@ -193,8 +193,9 @@ def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
     assert torch.equal(here, other.per_step(initial))
 
 
-def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    assert torch.equal(loss.step_loss_for_trust(initial, 3), loss.per_step(initial, 3))
+def test_doubt_of_a_kl_is_the_kl_of_an_entry(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+    expected = loss.per_step(initial, 3) / loss.space.match_space.dim
+    assert torch.equal(loss.step_loss_for_trust(initial, 3), expected)
 
 
 def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:

@@ -36,7 +36,7 @@ from torch_pmil.search.policy_search import (
 
 HORIZON = 6
 
-SETTINGS = SearchSettings(5, 5, 5, first_horizon=2, horizon_step=2, trust_threshold=1.0)
+SETTINGS = SearchSettings(5, 5, 5, first_horizon=1 / 3, horizon_step=1 / 3, trust_threshold=1.0)
 SHORTEST = replace(SETTINGS, mean_iterations=1, stage_iterations=1, final_iterations=1)
 INITIAL = belief_at_one(0.01)
 REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
@@ -122,10 +122,11 @@ def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(
 
 
 @pytest.mark.parametrize(
-    ("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])]
+    ("first", "step", "expected"),
+    [(1 / 3, 1 / 2, [2, 5, 6]), (2 / 3, 1.0, [4, 6]), (1.0, 1 / 2, [6])],
 )
 def test_horizon_never_exceeds_that_of_the_expert(
-    loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]
+    loss: TrajectoryKLLoss, first: float, step: float, expected: list[int]
 ) -> None:
     settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trust_threshold=1.0)
     assert horizons(search(loss, settings), "mean") == expected
@@ -158,7 +159,7 @@ def test_horizon_that_skips_matched_steps_begins_where_they_end(
 ) -> None:
     doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
     monkeypatch.setattr(loss, "step_loss_for_trust", lambda *_: next(doubts))
-    settings = replace(SHORTEST, horizon_step=1, skip_matched_steps=skip_matched_steps)
+    settings = replace(SHORTEST, horizon_step=1 / 6, skip_matched_steps=skip_matched_steps)
     assert horizons(search(loss, settings), "mean") == expected
 
 
@@ -176,7 +177,7 @@ def test_costly_prediction_is_followed_as_far_as_it_is_sure(
     """The target is out of reach: every step costs more than may be doubted."""
     parts, target = (random_policy(draws), damped_integrator(), SPACE), torch.tensor([5.0])
     cost = ExpectedSaturatingCost(*parts, target, width=1.5, horizon=HORIZON)
-    settings = SearchSettings(2, 2, 1, 2, horizon_step=2, trust_threshold=threshold)
+    settings = SearchSettings(2, 2, 1, 1 / 3, horizon_step=1 / 3, trust_threshold=threshold)
     result = search(cost, settings).result
     assert (result.per_step > 0.5).all()
     assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
@@ -230,7 +231,7 @@ def test_search_goes_on_as_far_as_the_prediction_can_be_followed(
 ) -> None:
     """The first three steps are matched or not trusted; beyond ``known`` the prediction fails."""
     fail_beyond(loss, known, monkeypatch)
-    settings = SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=threshold)
+    settings = SearchSettings(5, 5, 1, first_horizon=1 / 2, trust_threshold=threshold)
     result = search(loss, settings).result
     assert (result.horizon, result.converged, result.loss) == (known, threshold > 0, math.inf)
     assert result.per_step[:known].isfinite().all()
@@ -252,7 +253,7 @@ def test_failures_within_a_run_are_survived_and_counted(
         return mean_per_step(initial, horizon)
 
     monkeypatch.setattr(loss, "mean_per_step", failing_once)
-    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trust_threshold=0.0)).result
+    result = search(loss, SearchSettings(5, 1, 1, first_horizon=1.0, trust_threshold=0.0)).result
     assert result.failures == 1
     assert result.evaluations > len(calls) > 2
 
@@ -293,7 +294,7 @@ def test_policy_is_refitted_at_the_start_and_where_the_prediction_is_trusted(
     """What a model predicts matters only where it is trusted."""
     other = copy.deepcopy(found)
     other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
-    settings = SearchSettings(first_horizon=1, trust_threshold=threshold)
+    settings = SearchSettings(first_horizon=1 / 6, trust_threshold=threshold)
 
     def weights(loss: TrajectoryKLLoss) -> Tensor:
         new, generator = random_policy(Draws(seed=5)), Draws(seed=6).generator
@@ -321,7 +322,7 @@ def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_foll
         return predict_trajectory(*arguments)
 
     found.prediction = failing
-    before, after, _ = refitted(found, replace(SETTINGS, first_horizon=HORIZON))
+    before, after, _ = refitted(found, replace(SETTINGS, first_horizon=1.0))
     assert (after - before)[:3].abs().max() < 0.05 * U_MAX
 
 
@@ -329,7 +330,7 @@ def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(
     hopeless: TrajectoryKLLoss,
 ) -> None:
     """On a horizon with step 4, while runs of two iterations bring a tenth."""
-    settings = SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trust_threshold=1.0)
+    settings = SearchSettings(1, 2, 1, first_horizon=2 / 3, horizon_step=1 / 6, trust_threshold=1.0)
     found = search(hopeless, settings)
     reached = [loss for name, loss in found.reports[:-1] if name == f"KL 4/{HORIZON}"]
     falls = [after / before for before, after in pairwise(reached)]

@@ -18,9 +18,9 @@ from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
 from torch_pmil.search.trial_search import (
+    BOLDER,
     PROGRESS,
     STEADYINGS,
-    SUCCESS_SEARCHES,
     TrialSearch,
     search_for_success,
     steady_policy,
@@ -29,7 +29,7 @@ from torch_pmil.search.trial_search import (
 HORIZON = 6
 
 INITIAL = belief_at_one(0.04)
-SETTINGS = SearchSettings(20, 20, 20, first_horizon=2, horizon_step=2, trust_threshold=1.0)
+SETTINGS = SearchSettings(20, 20, 20, first_horizon=1 / 3, horizon_step=1 / 3, trust_threshold=0.5)
 WIDE = 0.3  # m, standard deviation of what is demonstrated: as wide as no good policy need be
 SHOWN = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
 
@@ -63,7 +63,7 @@ def test_policy_that_copies_the_spread_is_narrow_when_it_is_steadied(
 def test_steadied_policy_succeeds_more_often(loss: TrajectoryKLLoss) -> None:
     result, promise = search_policy(loss, INITIAL, SETTINGS), Promise(0.95, distance, 0.6 * WIDE)
     before = promise.predicted(loss, INITIAL)
-    found = search_for_success(loss, INITIAL, promise, SETTINGS, result)
+    found = search_for_success(loss, INITIAL, promise, SETTINGS, result, 1000)
     after = promise.predicted(loss, INITIAL)
     assert before.least < promise.aim
     assert after.successes > before.successes
@@ -109,11 +109,13 @@ def kept_by(loss: TrajectoryKLLoss) -> int:
     return int(loss.actor_network.weights[0, 0].item())
 
 
-def go_on(loss: TrajectoryKLLoss, restarts: int, *rates: float) -> tuple[int, SearchResult]:
+def go_on(
+    loss: TrajectoryKLLoss, restarts: int, *rates: float, credit: int = 1000
+) -> tuple[int, SearchResult]:
     """Number of the search whose policy was kept, and the outcome."""
     policies = (random_policy(Draws(seed)) for seed in range(restarts))
     promise = ScriptedPromise(*rates)
-    found = search_for_success(loss, INITIAL, promise, SETTINGS, outcome(0.0), policies)
+    found = search_for_success(loss, INITIAL, promise, SETTINGS, outcome(0.0), credit, policies)
     return kept_by(loss), found
 
 
@@ -137,6 +139,13 @@ def test_searches_follow_until_the_aim_is_reached_and_the_best_policy_is_kept(
     number, found = go_on(loss, restarts, *rates)
     assert (scripted, number, found.loss) == (made, kept, float(kept))
     assert found.evaluations == 10 * (1 + len(made))
+
+
+def test_no_search_begins_once_the_evaluations_are_used_up(
+    loss: TrajectoryKLLoss, scripted: list[str]
+) -> None:
+    number, found = go_on(loss, 2, 0.5, 0.6, 0.7, 0.8, credit=15)
+    assert (scripted, number, found.evaluations) == (["steady"] * 2, 2, 30)
 
 
 def test_cost_without_demonstrations_is_not_steadied(
@@ -167,6 +176,7 @@ class Searches:
         self.loss, self._results, self.searches = loss, iter(results), 0
         self.refitted_from: list[int] = []  # numbers of the searches whose policies were refitted
         self.random_at: list[int] = []  # and of those from a random policy
+        self.bold_at: list[int] = []  # and of those with more trust
         self.optimizers: list[object] = []
         self.loss.actor_network.weights.data.zero_()
         monkeypatch.setattr(trial_search, "search_policy", self._search)
@@ -185,10 +195,18 @@ class Searches:
         return new
 
     def _search(
-        self, loss: TrajectoryKLLoss, *_: object, random: bool = False, optimizer: object
+        self,
+        loss: TrajectoryKLLoss,
+        *_: object,
+        settings: SearchSettings,
+        random: bool = False,
+        optimizer: object,
+        **__: object,
     ) -> SearchResult:
         assert not random or kept_by(loss) in (-1, 0)
         self.searches += 1
+        usual = SearchSettings().trust_threshold
+        self.bold_at += [self.searches] if settings.trust_threshold == BOLDER * usual else []
         self.random_at += [self.searches] if random else []
         self.optimizers.append(optimizer)
         loss.actor_network.weights.data.fill_(self.searches)
@@ -210,15 +228,16 @@ def short(*losses: float) -> list[tuple[float, int, bool]]:
 
 
 COMPLETE = (SLOW, HORIZON, True)
-ORDERS = {  # results, restarts, succeeded, kept, refitted from, random at
-    "well below": (short(100, 0.9 * PROGRESS * 100), 0, True, [1, 2], [], [1]),
-    "complete": ([*short(100), COMPLETE], 0, True, [1, 2], [], [1]),
-    "a failed rollout": ([(100, 6, True), COMPLETE, (1, 6, True)], 0, False, [1, 3], [2], [1]),
-    "renewal is better": ([*short(100), (SLOW, 3, False), *short(50)], 0, True, [1, 3], [2], [1]),
-    "renewal is worse": ([*short(100), (SLOW, 3, False), *short(99)], 0, True, [1, 2], [2], [1]),
-    "random policies": (short(100, SLOW, SLOW, 99, 50), 3, True, [1, 5], [2], [1, 4, 5]),
-    "least of all trials": (short(100, 150, 140, SLOW, 95), 0, True, [1, 3, 4], [2, 4], [1]),
-    "a prediction that fails is no progress": (short(math.inf, 50), 0, None, [2], [1], [1]),
+ORDERS = {  # results, restarts, succeeded, kept, refitted from, with more trust at, random at
+    "well below": (short(100, 0.9 * PROGRESS * 100), 0, True, [1, 2], [], [], [1]),
+    "complete": ([*short(100), COMPLETE], 0, True, [1, 2], [], [], [1]),
+    "a failed rollout": ([(100, 6, True), COMPLETE, (1, 6, True)], 0, False, [1, 3], [2], [], [1]),
+    "renewal is better": (short(100, SLOW, 50), 0, True, [1, 3], [2], [], [1]),
+    "trust is better": (short(100, SLOW, 99, 50), 0, True, [1, 4], [2], [4], [1]),
+    "neither is": (short(100, SLOW, 99, 98), 0, True, [1, 2], [2], [4], [1]),
+    "random": (short(100, SLOW, SLOW, 99, 98, 50), 3, True, [1, 6], [2], [4], [1, 5, 6]),
+    "least of all": (short(100, 150, 140, 145, SLOW, 95, 96), 0, 1, [1, 3, 5], [2, 5], [4, 7], [1]),
+    "a prediction that fails is no progress": (short(math.inf, 50), 0, None, [2], [1], [], [1]),
 }
 
 
@@ -226,11 +245,11 @@ ORDERS = {  # results, restarts, succeeded, kept, refitted from, random at
 def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
     monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss, case: str
 ) -> None:
-    results, restarts, succeeded, kept, refitted_from, random_at = ORDERS[case]
+    results, restarts, succeeded, kept, *made = ORDERS[case]
     scripted = Searches(monkeypatch, loss, results, restarts)
     begun = []
     assert [begun.append(scripted.searches) or scripted.trial(succeeded) for _ in kept] == kept
-    assert (scripted.refitted_from, scripted.random_at) == (refitted_from, random_at)
+    assert [scripted.refitted_from, scripted.bold_at, scripted.random_at] == made
     assert scripted.searches == len(results)
     last = len(results) - begun[-1]
     result = scripted.search.result
@@ -240,20 +259,21 @@ def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
     assert scripted.optimizers == [OPTIMIZER] * len(results)
 
 
-def test_searches_for_success_from_random_policies_are_so_many_in_a_whole_run(
+def test_searches_for_success_take_no_more_evaluations_than_the_others_of_the_run(
     monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss
 ) -> None:
-    """And only after a rollout that succeeded."""
+    """And are from random policies only after a rollout that succeeded."""
     scripted = Searches(monkeypatch, loss, [(1.0, HORIZON, True)] * 4)
-    given: list[int] = []
+    given: list[tuple[int, int]] = []
 
     def counted(*arguments: object) -> SearchResult:
-        given.append(len(list(islice(arguments[5], SUCCESS_SEARCHES + 1))))
-        return arguments[4]
+        result, credit, policies = arguments[4:7]
+        given.append((credit, len(list(islice(policies, 3)))))
+        return result.with_work_of(outcome(1.0)) if len(given) == 2 else result
 
     monkeypatch.setattr(trial_search, "search_for_success", counted)
     scripted.search.promise = ScriptedPromise()
     for succeeded in (None, False, True, True):
         monkeypatch.setattr(scripted.search, "_least", 100.0)
         scripted.trial(succeeded)
-    assert given == [0, 0, SUCCESS_SEARCHES, 0]
+    assert given == [(10, 0), (20, 0), (20, 3), (30, 3)]  # the second search took 10 of 20

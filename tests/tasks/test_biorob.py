@@ -21,7 +21,7 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 STEPS = 4
-SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
+SEARCH = SearchSettings(0, 1, 1, first_horizon=1.0)
 pytestmark = pytest.mark.usefixtures("quick")
 
 

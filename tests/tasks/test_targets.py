@@ -25,7 +25,7 @@ from torch_pmil.tasks.task import MEASURED_STARTS
 
 STEPS, TRIALS, S = 4, 2, 3
 NAMES = ("biorob_targets", "double_pendulum_targets")
-SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
+SEARCH = SearchSettings(0, 1, 1, first_horizon=1.0)
 
 
 @pytest.fixture(scope="module", params=NAMES)

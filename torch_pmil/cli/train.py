@@ -35,7 +35,13 @@ from torch_pmil.files import bounded_line, in_words
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.lock import alone_in
 from torch_pmil.runs.pictures import tell_all
-from torch_pmil.runs.printing import making_the_rest, print_trial, warn_incomplete, warn_of
+from torch_pmil.runs.printing import (
+    making_the_rest,
+    print_trial,
+    say,
+    warn_incomplete,
+    warn_of,
+)
 from torch_pmil.runs.run_folder import FinishedRunError
 from torch_pmil.runs.settings import (
     RunSettings,
@@ -137,7 +143,7 @@ def run(config: DictConfig) -> None:
         warn_of(label, check(task))
         with alone_in(settings.folder):
             result = learned(label, alone, task, settings, command)
-            show(label, task, result, settings.folder)
+            show(label, result.task, result, settings.folder)
     except (KeyboardInterrupt, RunStopped):
         print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
         sys.exit(130)
@@ -168,6 +174,7 @@ def learned(
         logger=settings.logger,
         overwrite=settings.overwrite,
         settings=settings.repeated,
+        announce=partial(say, label),
     )
 
 

@@ -64,6 +64,7 @@ class RandomActions:
             clipped to the range.
         steps, rollouts: control steps of each rollout, and number of rollouts.
         around: that action, (F,), or one for each step, (steps, F); None for the middle.
+        hold: control steps for which each action stays.
 
     Raises:
         ValueError: the fraction is not in (0, 1], or another number or shape does not fit.
@@ -82,12 +83,14 @@ class RandomActions:
     steps: int
     rollouts: int = 1
     around: Tensor | None = None
+    hold: int = 1
 
     def __post_init__(self) -> None:
         if not 0 < self.fraction <= 1:
             raise ValueError(f"fraction must be above 0 and at most 1, got {self.fraction}")
         check_whole("steps", self.steps, 1)
         check_whole("rollouts", self.rollouts, 1)
+        check_whole("hold", self.hold, 1)
         if self.around is not None:
             each = (self.steps,) if self.around.ndim > 1 else ()
             check_tensor("around", self.around, (*each, len(self.actions.names)))
@@ -119,15 +122,17 @@ class _Uniform(_Stepwise):
         around = (actions.middle if random.around is None else random.around).double()
         self.around = around.expand(random.steps, -1)
         self.reach, self.generator = random.fraction * actions.half_range.double(), generator
+        self.hold = random.hold
         self.begin()
 
     def __call__(self, state: Tensor) -> Tensor:
-        shape = (*state.shape[:-1], len(self.reach))
-        uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
-        offset = self.amplitude * self.reach * (2 * uniform - 1)
+        if self.step % self.hold == 0:
+            shape = (*state.shape[:-1], len(self.reach))
+            uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
+            self.offset = self.reach * (2 * uniform - 1)
         around = self.around[self.step % len(self.around)]
         self.step += 1
-        return (around + offset).clamp(self.low, self.high)
+        return (around + self.amplitude * self.offset).clamp(self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)

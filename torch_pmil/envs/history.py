@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torch_pmil.envs.robot import RobotEnv, is_whole_number
 
@@ -145,6 +146,18 @@ class History:
                 of_reading[row, self.names.index(name)] = 1.0
         return of_reading, of_action
 
+    def along(self, readings: Tensor, actions: Tensor, resting: Tensor) -> Tensor:
+        """States (*batch, T + 1, D) of a robot that began at rest.
+
+        Readings are (*batch, T + 1, D_0), actions (*batch, T, F), and ``resting`` (*batch, F) is
+        the action at rest.
+        """
+        first, *later = readings.unbind(-2)
+        states = [self.begin(first, resting)]
+        for action, reading in zip(actions.unbind(-2), later, strict=True):
+            states.append(self.advanced(states[-1], action, reading))
+        return torch.stack(states, -2)
+
     def begin(self, reading: Tensor, action: Tensor) -> Tensor:
         """State (*batch, D) of a robot at rest, from its reading (*batch, D_0) and its action."""
         of_reading, of_action = (matrix.to(reading) for matrix in self.resting)
@@ -221,6 +234,10 @@ class HistoryEnv(RobotEnv):
         self.robot.close(**kwargs)
         super().close(**kwargs)
 
+    def _guard_reading(self, reading: Tensor) -> str:
+        assert self.guard is not None
+        return self.guard(pad(reading, (0, self.history.dim - reading.shape[-1])))
+
     def _shown(self, states: Tensor) -> Tensor:
         return states[..., : len(self.history.names)]
 
@@ -229,6 +246,8 @@ class HistoryEnv(RobotEnv):
         start = given.get("observation", None)
         if start is not None:
             given["observation"] = self._shown(start)
+        seen = self.guard is not None and not self.history.hidden
+        self.robot.guard = self._guard_reading if seen else None  # between held actions too
         shown = self.robot.reset(given)
         self.cut_short = ""
         reading = shown["observation"]

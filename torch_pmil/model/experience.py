@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
-from torch_pmil.checks import check_finite_entries, check_tensor, check_whole
+from torch_pmil.checks import check_finite_entries, check_whole
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 
@@ -104,76 +104,31 @@ class Experience:
         """All transitions, (n,), in the order of their recording."""
         return self.buffer[:]
 
-    def training_data(
-        self, space: StateSpace, targets: Targets, limits: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def training_data(self, space: StateSpace, targets: Targets) -> tuple[Tensor, Tensor]:
         """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, E).
 
         Args:
             space: the robot's state space.
             targets: what a model learns, as in :class:`GPDynamics`.
-            limits: largest absolute value of each entry of the state (D,), infinite for no limit.
-                Transitions that start beyond are left out: one stationary kernel cannot explain the
-                task and a robot that tumbles far from it.
 
         Raises:
-            ValueError: there is no transition, or shapes or limits do not fit.
+            ValueError: there is no transition, or shapes do not fit.
         """
-        check_limits_of_state(limits, space.dim)
-        return gp_data(*self.within(limits), space, targets)
+        return gp_data(*self._parts(), space, targets)
 
-    def data_for(
-        self, dynamics: GPDynamics, space: StateSpace, limits: Tensor, explored: int
-    ) -> tuple[Tensor, Tensor]:
-        """:meth:`training_data` of a model, whose known part first learns from the same data.
-
-        Limits are :func:`widened` where they would leave too few of the ``explored`` transitions,
-        the first ones. Raises ValueError where there is no transition at all.
-        """
-        self._check_any()
-        first = self.transitions["observation"][:explored]
-        # fewer transitions than inputs do not even determine a linear model
-        limits = widened(limits, first, fewest=dynamics.num_inputs)
-        states, actions, successors = self.within(limits)
+    def data_for(self, dynamics: GPDynamics, space: StateSpace) -> tuple[Tensor, Tensor]:
+        """:meth:`training_data` of a model, whose known part first learns from the same data."""
+        states, actions, successors = self._parts()
         dynamics.fit_known_part(states, successors)
         return gp_data(states, actions, successors, space, dynamics.targets)
 
-    def within(self, limits: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """States (n, D), actions (n, F) and successors (n, D) that start within limits (D,)."""
-        self._check_any()
-        transitions = self.transitions
-        states, successors = transitions["observation"], transitions["next", "observation"]
-        inside = (states.abs() <= limits).all(-1)
-        return states[inside], transitions["action"][inside], successors[inside]
-
-    def _check_any(self) -> None:
+    def _parts(self) -> tuple[Tensor, Tensor, Tensor]:
+        """States (n, D), actions (n, F) and successors (n, D)."""
         if not len(self):
             raise ValueError("experience must hold a transition at least, got none")
-
-
-def check_limits_of_state(limits: Tensor, dim: int) -> None:
-    """Raise ValueError unless limits are (D,) numbers that are not negative; infinite for none."""
-    check_tensor("limits", limits, (dim,), finite=False)
-    if not (limits >= 0).all():
-        raise ValueError(f"limits must be numbers that are not negative, got {limits.tolist()}")
-
-
-def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
-    """Limits (D,) that leave data to a model, of a robot that explored the states (n, D).
-
-    Limits that leave ``fewest`` of the states stay as they are; others, of slow or still parts of
-    a robot, grow to hold all of the states.
-
-    Example:
-        >>> explored = torch.tensor([[0.0, 0.1], [0.5, 0.2], [3.0, 0.3], [0.1, 9.0]])
-        >>> widened(torch.tensor([torch.inf, 0.1]), explored, fewest=2)
-        tensor([inf, 9.])
-        >>> widened(torch.ones(2), explored, fewest=2)
-        tensor([1., 1.])
-    """
-    if (explored.abs() <= limits).all(-1).sum() >= fewest:
-        return limits
-    return torch.maximum(limits, explored.abs().amax(0))
+        transitions = self.transitions
+        successors = transitions["next", "observation"]
+        return transitions["observation"], transitions["action"], successors
 
 
 def gp_data(

@@ -13,7 +13,7 @@ from torch_pmil.runs.summaries import RunError, read_summary, words_of
 LIST = "run_files.json"
 FILES = (  # beside checkpoints, logs and figures
     *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
-    *("settings.yaml", "run.json", "summary.json"),
+    *("settings.yaml", "run.json", "summary.json", "first_motion.pt", "sampling.json"),
 )
 FIGURES = (
     *("learning_curve", "trajectories", "kl_per_step", "policy", "calibration", "model"),

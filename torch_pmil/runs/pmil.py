@@ -15,7 +15,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.files import short
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.pictures import tell_all
-from torch_pmil.runs.printing import print_trial, warn_incomplete, warn_of
+from torch_pmil.runs.printing import print_trial, say, warn_incomplete, warn_of
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.seeds import SEEDS, Stream
@@ -37,8 +37,9 @@ class PMIL:
             the names of the observation's entries, ``angles``, ``match``, every field of
             :class:`Task` and every setting of its :class:`~torch_pmil.tasks.method.Method`.
 
-    ``task`` holds robot, demonstrations and settings. After :meth:`learn`, ``result`` is the
-    finished run and ``policy`` a function from the robot's state to its action.
+    ``task`` holds robot, demonstrations and settings. After :meth:`learn` it is the task as the run
+    sampled it, ``result`` is the finished run, and ``policy`` a function from the robot's state to
+    its action.
 
     Raises:
         DemonstrationError: the demonstrations cannot be read, or do not fit the robot.
@@ -101,9 +102,10 @@ class PMIL:
             resume=resume,
             logger="csv",
             overwrite=overwrite,
+            announce=partial(say, ""),
         )
-        self._learned = result, out
-        warn_incomplete("", tell_all("", self.task, result, out), "learn(resume=True)")
+        self._learned, self.task = (result, out), result.task
+        warn_incomplete("", tell_all("", result.task, result, out), "learn(resume=True)")
         return self
 
     @property

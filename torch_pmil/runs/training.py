@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from tensordict import TensorDictBase
 from torchrl.record.loggers import Logger
 
 from torch_pmil.checks import check_whole
@@ -36,6 +37,7 @@ from torch_pmil.runs.run_folder import (
     write_settings,
 )
 from torch_pmil.runs.same_robot import motion_of, moves_alike
+from torch_pmil.runs.sampled import sampled
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.rehearsal import rehearse
@@ -65,6 +67,7 @@ class RunResult:
             starts or, without these, in its own rollout; one for each target.
         policy: the saved policy.
         dynamics: the newest model.
+        task: what was learned, as the run sampled it.
     """
 
     summary: dict
@@ -72,6 +75,7 @@ class RunResult:
     outcomes: list[Outcome]
     policy: StatePolicy
     dynamics: GPDynamics
+    task: Task
 
 
 def train(
@@ -86,6 +90,7 @@ def train(
     logger: str | None = None,
     overwrite: bool = False,
     settings: Mapping[str, object] | None = None,
+    announce: Callable[[str], None] = lambda line: None,
 ) -> RunResult:
     """Learn a task, and write policy, model and numbers into the folder of the run.
 
@@ -110,6 +115,7 @@ def train(
         logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``, or None.
         overwrite: whether to replace a run that has ended.
         settings: of the command, by which ``settings.yaml`` names the task.
+        announce: called with how the run samples the robot, if it chooses.
 
     Raises:
         RunStopped, RobotError: the operator ended the run, or the robot cannot be reached; the run
@@ -132,18 +138,22 @@ def train(
     check_whole("trials", trials, 1, MOST_TRIALS)
     check_resume(resume is True, overwrite)
     check_logger(logger)
-    rehearse(task)
-    identity = _identity(task, seed)
-    rotation = rotation_in(out / "checkpoints", identity)
-    rotation.announce = lambda name: own(out, f"checkpoints/{name}")
-    before = None if isinstance(resume, bool) else _of_another(Path(resume), out, identity)
+    rehearse(task.samplings[0].of(task) if task.samplings else task)
+    another = None if isinstance(resume, bool) else Path(resume)
 
     def record(trial: Trial) -> None:
         write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
         on_trial(trial)
 
     with alone_in(out), torchrl_warnings_alone():
-        saved = _taken(out, rotation, identity, resume is True, overwrite)
+        _clear(out, resume is True, overwrite)
+        task, first = sampled(task, seed, out, resume is True, another, announce)
+        identity = _identity(task, seed)
+        rotation = rotation_in(out / "checkpoints", identity)
+        rotation.announce = lambda name: own(out, f"checkpoints/{name}")
+        before = None if another is None else _of_another(another, out, identity)
+        saved = _same_run(rotation, identity) if resume is True else None
+        (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
         source = provenance(command)
         named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
         _write_origin(out, named | task.adjustable, source)
@@ -153,10 +163,7 @@ def train(
         ended = False
         while not ended:
             trainer = make_trainer(task, seed, trials, progress_bar, record, opened, rotation)
-            if saved is not None:
-                trainer.resume(saved)
-            elif before is not None:
-                trainer.begin_with(before)
+            _begin(trainer, saved, before, first)
             rewind_logs(opened, trainer.collected_frames)
             write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
             ended = _ended(trainer)
@@ -165,17 +172,28 @@ def train(
         return _finish(trainer, task, out, {"seed": seed, **source}, trials)
 
 
-def _taken(
-    out: Path, rotation: RunRotation, identity: dict[str, object], resume: bool, overwrite: bool
-) -> SavedRun | None:
-    """Clear the folder for a new run, or return the checkpoint of the one that continues there."""
+def _clear(out: Path, resume: bool, overwrite: bool) -> None:
+    """Clear the folder for a new run, or leave it to the one that continues there."""
     check_free(out)
     remove_debris(out)
-    saved = _same_run(rotation, identity) if resume else None
     if not resume:
         clear_folder(out, overwrite)
-    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
-    return saved
+
+
+def _begin(
+    trainer: PMILTrainer,
+    saved: SavedRun | None,
+    before: SavedRun | None,
+    first: TensorDictBase | None,
+) -> None:
+    """Continue a run, or begin one, perhaps with another run's experience and a motion made."""
+    if saved is not None:
+        trainer.resume(saved)
+        return
+    if before is not None:
+        trainer.begin_with(before)
+    if first is not None:
+        trainer.collector.begin_with(first)
 
 
 def _write_origin(out: Path, settings: Mapping[str, object], source: dict[str, object]) -> None:
@@ -217,7 +235,7 @@ def _finish(
         **results,
     }
     write_json(own(out, "summary.json"), summary)
-    return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
+    return RunResult(summary, trainer.trials, outcomes, policy, dynamics, task)
 
 
 def _identity(task: Task, seed: int) -> dict[str, object]:

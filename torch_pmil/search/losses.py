@@ -83,6 +83,10 @@ class TrajectoryKLLoss(TrajectoryLoss):
         """T, number of demonstrated steps after the start."""
         return self.demonstrated_mean.shape[-2]
 
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """KL of each step for each observed entry, (*batch, horizon)."""
+        return self.per_step(initial, horizon) / self.space.match_space.dim
+
     def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cross-entropy of the prediction and the demonstrations at each step, (*batch, horizon).
 

@@ -100,5 +100,8 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         return super().mean_per_step(initial, horizon).mean(-2)
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Largest KL of all targets by step, (*batch, horizon): all predictions must be trusted."""
-        return super().per_step(initial, horizon).amax(-2)
+        """Largest KL of all targets by step and observed entry, (*batch, horizon).
+
+        All predictions must be trusted.
+        """
+        return super().per_step(initial, horizon).amax(-2) / self.space.match_space.dim

@@ -30,10 +30,10 @@ class SearchSettings(Settings):
     """Budget and horizon of a policy search; an iteration is one of the optimiser.
 
     The iterations at one horizon are repeated while the last steps are not trusted and each run
-    lowers the loss by a tenth. For the KL, ``trust_threshold`` is about 3 nats a step in four
-    dimensions. ``skip_matched_steps`` suits the KL, which is small wherever the prediction matches.
-    Under another loss a motion may be predicted well and still be wrong: then the horizon grows by
-    ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
+    lowers the loss by a tenth. The KL is trusted by its nats for each observed entry, so that one
+    entry means the same as four. ``skip_matched_steps`` suits the KL, which is small wherever the
+    prediction matches. Under another loss a motion may be predicted well and still be wrong: then
+    the horizon grows by ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
     """
 
     prefix: ClassVar[str] = "search."
@@ -47,17 +47,17 @@ class SearchSettings(Settings):
     final_iterations: int = setting(
         40, "iterations on the loss at the last horizon", least=0, unit="iterations"
     )
-    first_horizon: int = setting(
-        5, "smallest length of the first horizon", least=1, unit="control steps"
+    first_horizon: float = setting(
+        0.2, "smallest length of the first horizon", above=0, most=1, unit="whole horizons"
     )
-    horizon_step: int = setting(
-        3, "steps by which the horizon grows", least=1, unit="control steps"
+    horizon_step: float = setting(
+        0.12, "by how much the horizon grows", above=0, most=1, unit="whole horizons"
     )
     trust_threshold: float = setting(
-        3.0,
+        0.75,
         "largest mean loss of the last steps at which the horizon still grows",
         least=0,
-        unit="nats per step; PILCO: cost of the predicted spread",
+        unit="nats per step and observed entry; PILCO: cost of the predicted spread",
     )
     skip_matched_steps: bool = setting(
         True, "whether the horizon jumps to the first step above the threshold"
@@ -65,6 +65,19 @@ class SearchSettings(Settings):
     restarts: int = setting(
         0, "largest number of searches from random policies", least=0, unit="searches"
     )
+
+    def first_steps(self, horizon: int) -> int:
+        """Smallest length of the first of the horizons up to this one, in steps."""
+        return max(1, round(self.first_horizon * horizon))
+
+    def more_steps(self, horizon: int) -> int:
+        """Steps by which the horizon grows up to this one.
+
+        Example:
+            >>> SearchSettings().first_steps(25), SearchSettings().more_steps(25)
+            (5, 3)
+        """
+        return max(1, round(self.horizon_step * horizon))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +142,17 @@ def search_policy(
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = SearchRuns(loss, initial, settings, report, optimizer)
-    step_loss = step_loss_of(loss, initial)
+    step_loss, more = step_loss_of(loss, initial), settings.more_steps(loss.horizon)
     horizon = _first_untrusted(step_loss, settings)
     growing = bool((step_loss > settings.trust_threshold).any())
     if random and not settings.skip_matched_steps:
-        horizon, growing = min(settings.first_horizon, loss.horizon), True
+        horizon, growing = settings.first_steps(loss.horizon), True
     while growing:
         begun = search.stage(horizon)
         step_loss = step_loss_of(loss, initial)
-        growing = begun and horizon < loss.horizon and _trusted(step_loss, horizon, settings)
+        growing = begun and horizon < loss.horizon and _trusted(step_loss[:horizon], settings, more)
         if growing:
-            horizon = min(horizon + settings.horizon_step, loss.horizon)
+            horizon = min(horizon + more, loss.horizon)
             if settings.skip_matched_steps:
                 horizon = max(horizon, _first_untrusted(step_loss, settings))
     horizon = max(1, min(horizon, int(step_loss.isfinite().sum())))
@@ -201,7 +214,10 @@ class SearchRuns:
         if last.stop_reason != "iteration limit" or last.loss >= WORTHWHILE * last.initial_loss:
             return False
         step_loss = step_loss_of(self.loss, self.initial, horizon)
-        return not _trusted(step_loss, horizon, self.settings)
+        return not self._trusted(step_loss)
+
+    def _trusted(self, step_loss: Tensor) -> bool:
+        return _trusted(step_loss, self.settings, self.settings.more_steps(self.loss.horizon))
 
     def result(self, horizon: int) -> SearchResult:
         """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
@@ -211,7 +227,7 @@ class SearchRuns:
             loss=per_step.sum().item(),
             per_step=per_step,
             horizon=horizon,
-            converged=_trusted(step_loss, horizon, self.settings),
+            converged=self._trusted(step_loss[:horizon]),
             evaluations=sum(run.evaluations for run in self.runs),
             failures=sum(run.failures for run in self.runs),
             seconds=time.perf_counter() - self.start,
@@ -272,9 +288,9 @@ def step_loss_of(loss: TrajectoryLoss, initial: Gaussian, horizon: int | None = 
 def _first_untrusted(step_loss: Tensor, settings: SearchSettings) -> int:
     untrusted = (step_loss > settings.trust_threshold).nonzero()[:, 0]
     first = int(untrusted[0]) + 1 if len(untrusted) else len(step_loss)
-    return min(max(first, settings.first_horizon), len(step_loss))
+    return max(first, settings.first_steps(len(step_loss)))
 
 
-def _trusted(step_loss: Tensor, horizon: int, settings: SearchSettings) -> bool:
-    last = step_loss[max(horizon - settings.horizon_step, 0) : horizon]
-    return last.mean().item() <= settings.trust_threshold
+def _trusted(step_loss: Tensor, settings: SearchSettings, last: int) -> bool:
+    """Whether the last of these steps are trusted."""
+    return step_loss[-last:].mean().item() <= settings.trust_threshold

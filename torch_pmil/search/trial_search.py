@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -27,8 +27,8 @@ from torch_pmil.search.policy_search import (
 from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
+BOLDER = 4.0  # trust of a search that comes no further, in that of the settings
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
-SUCCESS_SEARCHES = 6  # searches for success from random policies, in a whole run
 STEADYINGS = 8  # of one policy, while it gets no worse
 
 
@@ -37,13 +37,14 @@ class TrialSearch:
 
     A trial searches from the policy that the last one left. If that neither matches the whole
     horizon nor brings the loss well below the smallest so far, it searches from the refitted policy
-    too (:func:`refit_policy`), and then from ``settings.restarts`` random policies. The best is
-    kept. After a rollout that failed, a match of the whole horizon is not enough: it may be that of
-    a poor optimum.
+    too (:func:`refit_policy`), then with more trust, and then from ``settings.restarts`` random
+    policies. The best is kept. After a rollout that failed, a match of the whole horizon is not
+    enough: it may be that of a poor optimum.
 
     A policy that matches the whole horizon, but is predicted to fail from too many starts, is
     searched on (:func:`search_for_success`), from random policies only after a rollout that
-    succeeded: before, the failures may be what the model does not know yet.
+    succeeded: before, the failures may be what the model does not know yet. In a whole run these
+    searches take no more evaluations than the others.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -66,7 +67,7 @@ class TrialSearch:
     ) -> None:
         self.settings, self.make_policy, self.generator = settings, make_policy, generator
         self.promise, self.report, self.optimizer = promise, report, optimizer
-        self._least, self._left = math.inf, SUCCESS_SEARCHES
+        self._least, self._credit = math.inf, 0
 
     def run(self, loss: TrajectoryLoss, initial: Gaussian, succeeded: bool | None) -> SearchResult:
         """Search the policy of one trial, as :func:`search_policy`.
@@ -74,22 +75,30 @@ class TrialSearch:
         ``succeeded`` says whether the last rollout was a success; None before the first.
         """
         settings, report, optimizer = self.settings, self.report, self.optimizer
-        search = partial(search_policy, loss, initial, settings, report, optimizer=optimizer)
+        search = partial(
+            search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
+        )
         self.result = search(random=self._least == math.inf)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
             new = self.make_policy()
             refitted = refit_policy(loss, initial, new, settings, self.generator)
             self._keep_better(loss, refitted, search)
+        if not (self.result.complete or self._enough(succeeded)):
+            bolder = replace(settings, trust_threshold=BOLDER * settings.trust_threshold)
+            found = copy.deepcopy(loss.actor_network)
+            self._keep_better(loss, found, partial(search, settings=bolder))
         for _ in range(settings.restarts):
             if not self._enough(succeeded):
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
+        self._credit += self.result.evaluations
         if self.promise is not None and self.result.complete:
-            others: Iterable[RBFPolicy] = self._random_policies() if succeeded else ()
-            self.result = search_for_success(
-                loss, initial, self.promise, settings, self.result, others, report, optimizer
-            )
+            known, credit = (loss, initial, self.promise, settings, self.result), self._credit
+            others = iter(self.make_policy, None) if succeeded else iter(())
+            before = self.result.evaluations
+            self.result = search_for_success(*known, credit, others, report, optimizer)
+            self._credit -= self.result.evaluations - before
         return self.result
 
     def _enough(self, succeeded: bool | None) -> bool:
@@ -110,19 +119,13 @@ class TrialSearch:
             loss.actor_network.load_state_dict(found)
             self.result = self.result.with_work_of(second)
 
-    def _random_policies(self) -> Iterator[RBFPolicy]:
-        """New policies, for as many searches for success as the run has left."""
-        while self._left:
-            self._left -= 1
-            yield self.make_policy()
-
     def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""
-        return {"least": self._least, "success_searches_left": self._left}
+        return {"least": self._least, "credit": self._credit}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that :meth:`state_dict` returned."""
-        self._least, self._left = state_dict["least"], state_dict["success_searches_left"]
+        self._least, self._credit = state_dict["least"], state_dict["credit"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +147,7 @@ def search_for_success(
     promise: Promise,
     settings: SearchSettings,
     result: SearchResult,
+    evaluations: int,
     policies: Iterable[RBFPolicy] = (),
     report: Report = lambda stage, loss: None,
     optimizer: MakeOptimizer = torch.optim.LBFGS,
@@ -158,6 +162,7 @@ def search_for_success(
         loss, initial, settings, report, optimizer: as for :func:`search_policy`.
         promise: what the policy must keep.
         result: outcome of the search that found the policy, which matches the whole horizon.
+        evaluations: of the loss, after which no other search begins.
         policies: random policies of the same shape; no more are taken than are needed.
 
     Returns:
@@ -172,11 +177,16 @@ def search_for_success(
         found.append(_Found(result, predicted, copy.deepcopy(network.state_dict())))
         return predicted.least < promise.aim
 
+    def affordable() -> bool:
+        return sum(each.result.evaluations for each in found[1:]) < evaluations
+
     def steady() -> bool:
         """Steady the last policy; return whether a better one is still needed."""
         if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
             return True
         for _ in range(STEADYINGS):
+            if not affordable():
+                break
             if not judge(steady_policy(loss, initial, settings, report, optimizer)):
                 return False
             if found[-1].predicted.rate < found[-2].predicted.rate:
@@ -184,7 +194,7 @@ def search_for_success(
         return True
 
     needed, others = judge(result) and steady(), iter(policies)
-    while needed and (policy := next(others, None)) is not None:
+    while needed and affordable() and (policy := next(others, None)) is not None:
         network.load_state_dict(policy.state_dict())
         again = search_policy(loss, initial, settings, report, True, optimizer)
         needed = judge(again) and steady()

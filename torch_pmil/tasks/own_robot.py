@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
-from functools import partial
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -19,17 +18,18 @@ from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
+from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
+from torch_pmil.tasks.own_samplings import samplings_of
 from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
+from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.unit_checks import check_units
-from torch_pmil.tasks.with_history import with_history
 
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
@@ -52,6 +52,8 @@ def own_robot(
     past_entries: int = 0,
     past_actions: int = 0,
     positions_only: bool = False,
+    step: float | Literal["auto"] = "auto",
+    past: Literal["auto"] | None = "auto",
     steps_per_action: int | None = None,
     **settings: Any,
 ) -> Task:
@@ -90,6 +92,12 @@ def own_robot(
             demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
             :func:`~torch_pmil.tasks.with_history.with_history`.
+        step: seconds for which the policy holds an action, a multiple of the control period. By
+            default a run chooses it by the first motion
+            (:func:`~torch_pmil.tasks.first_motion.choose`). With an ``error`` or an exploration of
+            one's own it is the control period.
+        past: whether a run chooses by the first motion what the state holds of the past. What is
+            given above is not chosen.
         steps_per_action: steps of the environment for which an action is held, see
             :class:`~torch_pmil.envs.one_robot.OneRobot`.
         settings: fields of :class:`Task` and settings of its method
@@ -134,11 +142,11 @@ def own_robot(
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
     task = _task(robot, space, shown, states, starts, settings)
-    if not (past_entries or past_actions or positions_only):
-        return task
-    return with_history(
-        task, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
-    )
+    given = Sampling(1, past_entries, past_actions, positions_only)
+    samplings = samplings_of(task, given, step, past)
+    if len(samplings) > 1:
+        return replace(task, samplings=samplings)
+    return samplings[0].of(task)
 
 
 def _demonstrated(
@@ -194,7 +202,7 @@ def _task(
         "holding_actions": held,
         "held_states": None if held is None else demonstrated,
         "demonstrated_states": demonstrated,
-        "error": of_states(partial(deviation, demonstrated=marginals, space=space)),
+        "error": of_states(Deviation(marginals, space)),
         "tolerance": TOLERANCE,
         "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,
@@ -204,15 +212,6 @@ def _task(
     if task.promised is None:
         chosen = {"confirmations": CONFIRMATIONS, **chosen}
     return task.with_settings(**chosen)
-
-
-def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tensor:
-    """Root mean square distance from a demonstrated mean, in standard deviations, (*batch).
-
-    States x_0..x_T are (*batch, T + 1, D), the marginals at t = 1..T in the match space.
-    """
-    apart = space.observe(states[..., 1:, :]) - demonstrated.mean
-    return (apart / demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
 def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int | None) -> Robot:

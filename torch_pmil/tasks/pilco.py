@@ -23,13 +23,12 @@ from torch_pmil.tasks.task import Task
 
 COST_WIDTH = 2.0  # m, Eq. 28
 VELOCITY_STD = 3.0  # rad/s
-VELOCITY_LIMIT = math.pi / 0.1  # rad/s: half a turn in a control step at 10 Hz
 SPREAD = 400  # states
 SEARCH = SearchSettings(
     mean_iterations=40,
     stage_iterations=20,
     final_iterations=40,
-    first_horizon=3,
+    first_horizon=0.12,
     trust_threshold=0.025,
     skip_matched_steps=False,
     restarts=2,
@@ -70,20 +69,10 @@ class PilcoTask(Task):
         above=0,
         unit="rad/s",
     )
-    velocity_limit: float = setting(
-        VELOCITY_LIMIT, "largest velocity in the data of PILCO's model", above=0, unit="rad/s"
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_tensor("target", self.target, (self.space.match_space.dim,))
-
-    @property
-    def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) in the model's data; angles have no limit."""
-        limits = torch.full_like(self.initial.mean, self.velocity_limit)
-        limits[list(self.space.angles)] = torch.inf
-        return limits
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
         """The loss of the policy search: the expected cost of not being at the target."""
@@ -107,16 +96,8 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoTask:
-    """The swing-up of Section 5.1 by PILCO; arguments and errors as in :func:`double_pendulum`.
-
-    The model learns from velocities up to half a turn in a control step: the samples do not show
-    how far a faster joint turned.
-    """
+    """The swing-up of Section 5.1 by PILCO; arguments and errors as in :func:`double_pendulum`."""
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}
     own = {"name": "double_pendulum_pilco", "method": replace(task.method, search=SEARCH)}
-    return PilcoTask(
-        **(same | own),
-        target=torch.tensor(UPRIGHT, dtype=torch.float64),
-        velocity_limit=math.pi / task.demonstrations.time_step,
-    )
+    return PilcoTask(**(same | own), target=torch.tensor(UPRIGHT, dtype=torch.float64))

@@ -42,8 +42,9 @@ def rehearse(task: Task) -> None:
             another time than the control period, or an entry dNAME is another one than the velocity
             of NAME.
     """
-    made: Any = task.make_env
-    robot = made if task.history is None else made.args[0]
+    robot: Any = task.make_env
+    while isinstance(robot, partial):  # of the environments that hold actions or the past
+        robot = robot.args[0] if robot.args else None
     if not (task.evaluated and isinstance(robot, OneRobot | MujocoRobot)):
         return
     with torch.random.fork_rng(devices=[]):
@@ -55,7 +56,8 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
     if isinstance(robot, OneRobot):
         with counted(robot.env) as calls:
             states = _tried(task, actions, calls.clear)
-        _check_steps(robot, calls["step"] / (len(states) - 1), calls["reset"])
+        steps = calls["step"] / (task.held * (len(states) - 1))
+        _check_steps(robot, steps, calls["reset"])
     else:
         states = _tried(task, actions)
     again = _tried(task, actions)[: len(states)]

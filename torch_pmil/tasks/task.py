@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -42,8 +42,10 @@ from torch_pmil.tasks.task_checks import (
 from torch_pmil.trainer.problem import Problem
 from torch_pmil.trainer.trials import own_error
 
+if TYPE_CHECKING:
+    from torch_pmil.tasks.sampling import Sampling
+
 HELD_STARTS = 200  # in which a new policy holds the robot
-START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
 MEASURED_STARTS = 20  # fresh starts of a measurement
 
 
@@ -88,6 +90,9 @@ class Task(Settings):
         plane: directions (2, M) of the match space, to the right and up, in which the robot writes;
             the report then shows the strokes.
         draws: whether the environment gives pictures, for the video.
+        held: control periods of the robot for which an action is held.
+        samplings: among which a run chooses by its first motion; the first is that of a robot for
+            which nothing is chosen. Empty if the task is sampled already.
 
     ``objective`` is the class of the loss that :meth:`make_loss` returns.
 
@@ -128,6 +133,8 @@ class Task(Settings):
     sketch: Callable[[Tensor], Tensor] | None = None
     plane: Tensor | None = None
     draws: bool = True
+    held: int = 1
+    samplings: tuple[Sampling, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -175,20 +182,6 @@ class Task(Settings):
         return RandomActions(self.actions, chosen.random_action, self.horizon, around=around)
 
     @property
-    def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) in the data of the model.
-
-        They are three times the demonstrated ones, and hold the robot's starts at least; angles
-        have no limit. See :func:`~torch_pmil.model.experience.widened` for when they are wider.
-        """
-        start = self.initial.mean.abs() + START_REACH * self.initial.std
-        limits = torch.maximum(3 * self.demonstrated_states.abs().amax(0), start)
-        limits[list(self.space.angles)] = torch.inf
-        if self.history is not None:
-            limits[self.history.dim - self.history.num_past_actions :] = torch.inf
-        return limits
-
-    @property
     def _least_widths(self) -> Tensor:
         """Smallest widths (D',) of a new policy's basis functions."""
         if self.method.policy.least_widths is not None:
@@ -207,6 +200,7 @@ class Task(Settings):
             "least_widths": self._least_widths.tolist(),
             "optimizer": getattr(self.method.optimizer, "__name__", str(self.method.optimizer)),
             "holds_start": self.holding_actions is not None,
+            "held": self.held,
             "history": self.history and asdict(self.history),
             "state_box": self.state_box and self.state_box.settings,
         }
@@ -221,7 +215,6 @@ class Task(Settings):
             env=self.robot(seed),
             loss=self.make_loss(policy, self.make_dynamics()),
             initial=self.initial,
-            limits=self.limits,
             error=self.error,
             tolerance=self.tolerance,
             make_policy=self.make_policy,

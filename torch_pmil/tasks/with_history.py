@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import torch
@@ -161,11 +160,9 @@ def _space(task: Task, history: History) -> StateSpace:
 def _demonstrated(task: Task, history: History, resting: Resting) -> Tensor:
     """Demonstrated states with what came before them, by the actions that hold the robot there."""
     count = len(task.demonstrations.positions)
-    readings = task.demonstrated_states.unflatten(0, (count, -1)).unbind(1)
-    states = [history.begin(readings[0], resting(readings[0]))]
-    for before, reading in pairwise(readings):
-        states.append(history.advanced(states[-1], resting(before), reading))
-    return torch.stack(states, 1).flatten(0, 1)
+    readings = task.demonstrated_states.unflatten(0, (count, -1))
+    actions = resting(readings)
+    return history.along(readings, actions[:, :-1], actions[:, 0]).flatten(0, 1)
 
 
 def _with_past(widths: Tensor, task: Task, history: History) -> Tensor:

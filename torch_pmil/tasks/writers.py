@@ -113,7 +113,7 @@ def pendulum_writer() -> Writer:
         damping=(0.6, 0.12),
         reach=1.0,
         search=SearchSettings(
-            mean_iterations=30, stage_iterations=20, final_iterations=60, trust_threshold=1.0
+            mean_iterations=30, stage_iterations=20, final_iterations=60, trust_threshold=0.5
         ),
     )
 
@@ -152,9 +152,7 @@ def biorob_writer() -> Writer:
         stiffness=(8.0, 20.0, 10.0),
         damping=(0.3, 0.5, 0.2),
         reach=1.5,
-        search=SearchSettings(
-            mean_iterations=0, stage_iterations=30, final_iterations=60, trust_threshold=2.0
-        ),
+        search=SearchSettings(mean_iterations=0, stage_iterations=30, final_iterations=60),
     )
 
 

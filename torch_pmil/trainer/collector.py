@@ -89,6 +89,10 @@ class RolloutCollector(Collector):
         """End the collection; a physical robot stays open for whoever opened it."""
         super().shutdown(timeout, close_env and not self._physical, raise_on_error)
 
+    def begin_with(self, first: TensorDictBase) -> None:
+        """Yield a motion that was made before, as the first batch."""
+        self._repeated, self._latest = True, first
+
     def _make_carrier(self) -> None:
         """Make the state on which TorchRL tries out the policy, with or without a motion."""
         if self._tries:

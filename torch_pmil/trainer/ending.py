@@ -11,6 +11,7 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.trainer.trials import Trial
 
 LIMIT = "limit of trials"
+AGAIN = 4  # own successes in a row that end a run, whatever the model promises
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -21,8 +22,9 @@ class Ending:
     Args:
         trials: largest number of trials.
         confirmations: own successes in a row without which no run ends.
-        promise: what the newest model must predict after the last of them; None if no success is
-            predicted, so that the confirmations alone end the run.
+        promise: what the newest model must predict after the last of them, unless there are
+            ``AGAIN`` in a row; None if no success is predicted, so that the confirmations alone
+            end the run.
 
     Example:
         >>> Ending(trials=0)
@@ -40,11 +42,8 @@ class Ending:
 
     def reason(self, trials: Sequence[Trial]) -> str:
         """Why a run ends after these trials, one at least; "" if it continues."""
-        if self._confirmed(trials):
-            count = NUMERALS.get(self.confirmations, self.confirmations)
-            done = f"the own rollouts of {count} trials in a row succeeded"
-            if self.confirmations == 1:
-                done = "the own rollout succeeded"
+        if _succeeded(trials, self.confirmations):
+            done = _done(self.confirmations)
             if self.promise is None:
                 return done
             rate = trials[-1].promised_success_rate
@@ -52,6 +51,8 @@ class Ending:
                 return (
                     f"{done}, and the model predicts success from {rate:.1%} of the starts at least"
                 )
+        if _succeeded(trials, again := max(AGAIN, self.confirmations)):
+            return _done(again)
         return LIMIT if len(trials) >= self.trials else ""
 
     def unmet(self, trials: Sequence[Trial]) -> str:
@@ -63,7 +64,8 @@ class Ending:
         if not succeeded or self.reason(trials) != LIMIT:
             return ""
         done = f"the own rollout succeeded in {succeeded} of {len(trials)} trials, but"
-        confirmed = [n for n in range(1, len(trials) + 1) if self._confirmed(trials[:n])]
+        counts = range(1, len(trials) + 1)
+        confirmed = [n for n in counts if _succeeded(trials[:n], self.confirmations)]
         if self.promise is None or not confirmed:
             return f"{done} confirmations={self.confirmations} asks for that many in a row"
         best = max(trials[n - 1].promised_success_rate or 0.0 for n in confirmed)
@@ -78,6 +80,14 @@ class Ending:
         ended = next(n for n in confirmed if sooner.reason(trials[:n]))
         return f"{lacking}, and promise={rate:g} would have ended the run at trial {ended}"
 
-    def _confirmed(self, trials: Sequence[Trial]) -> bool:
-        last = trials[-self.confirmations :]
-        return len(last) == self.confirmations and all(trial.own_success for trial in last)
+
+def _succeeded(trials: Sequence[Trial], count: int) -> bool:
+    """Whether so many of the last own rollouts succeeded, one after the other."""
+    last = trials[-count:]
+    return len(last) == count and all(trial.own_success for trial in last)
+
+
+def _done(count: int) -> str:
+    if count == 1:
+        return "the own rollout succeeded"
+    return f"the own rollouts of {NUMERALS.get(count, count)} trials in a row succeeded"

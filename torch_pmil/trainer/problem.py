@@ -15,7 +15,6 @@ from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.experience import check_limits_of_state
 from torch_pmil.model.rollout import check_start_belief
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
@@ -29,8 +28,6 @@ class Problem:
             under ``"target"``.
         loss: the objective, with policy and model.
         initial: p(x_0).
-        limits: largest absolute values of the state (D,) in the data of the model, widened if they
-            would leave it too few (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: largest error of a success.
         make_policy: returns a new random policy, drawn from a generator.
@@ -44,13 +41,12 @@ class Problem:
 
     Raises:
         TypeError: an environment is of another kind.
-        ValueError: the tolerance is negative, or start or limits are not over the state.
+        ValueError: the tolerance is negative, or the start is not over the state.
     """
 
     env: EnvBase
     loss: TrajectoryLoss
     initial: Gaussian
-    limits: Tensor
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
     make_policy: Callable[[torch.Generator], RBFPolicy]
@@ -65,7 +61,6 @@ class Problem:
             if not isinstance(env, EnvBase) and not (name == "measured" and env is None):
                 raise TypeError(f"{name} must be an EnvBase, got {type(env).__name__}")
         check_start_belief(self.initial, "initial", self.loss.dynamics, self.loss.space)
-        check_limits_of_state(self.limits, self.loss.space.dim)
 
     def frames(self, trials: int) -> int:
         """Number of transitions of a run with that many trials, if no rollout is cut short."""

@@ -185,12 +185,11 @@ class PMILTrainer(Trainer):
         return self.state.candidates
 
     def fit_dynamics(self) -> None:
-        """Fit the forward model to all experience within the limits, unless it already is."""
+        """Fit the forward model to all experience, unless it already is."""
         if self._fitted == len(self.experience):
             return
         dynamics, experience = self.loss_module.dynamics, self.experience
-        space, limits = self.loss_module.space, self.problem.limits
-        data = experience.data_for(dynamics, space, limits, self.state.explored)
+        data = experience.data_for(dynamics, self.loss_module.space)
         self._say(f"fitting the model to {len(data[0])} transitions")
         was_exact = not dynamics.sparse
         self._fit, self._fitted = dynamics.fit(*data), len(experience)

@@ -160,7 +160,7 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
         ["x (m)", "0.01", "0.02"],
         ["horizon", "25", "control steps"],
         ["noise_std", "0.05", "m"],
-        ["search.trust_threshold", "3", "nats a step"],
+        ["search.trust_threshold", "3", "nats a step and entry"],
         ["tau", "25 %"],
     ):
         assert row in rows

@@ -94,17 +94,16 @@ def likely_reasons(
 def known_steps(task: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
     """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
-    There the state is within the limits of the states that the model learns from, or within the
-    largest values of its data. No predicted standard deviation is above half of that without data.
+    There the state is within the largest values of the model's data, and no predicted standard
+    deviation is above half of that without data.
     """
     before, expansion = outcome.executed[:, :-1], dynamics.expansion
     inputs = torch.cat([task.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = expansion.predict(inputs)
     sure = (variance <= LITTLE**2 * expansion.signal_variance).all(-1)
-    plain = list(task.space.plain)  # the first features; angles have no limit
+    plain = list(task.space.plain)  # the first features
     reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
-    limits = torch.maximum(task.limits[plain], reached)
-    return sure & (before[..., plain].abs() <= limits).all(-1)
+    return sure & (before[..., plain].abs() <= reached).all(-1)
 
 
 def _of_the_robot(task: Task, outcome: Outcome) -> list[Reason]:

@@ -19,6 +19,7 @@ ENDS = {  # of the last run of L-BFGS: reaching the limit of iterations is not a
 }
 DERIVED = {  # units of what a summary's settings hold besides the settings of a run
     "horizon": "control steps",
+    "held": "control periods",
     "exploration.random_action": SETTINGS["random_action"].unit,
     "exploration.around": "the units of the actions",
     "targets": "the unit of the entry",
@@ -78,11 +79,11 @@ def unit_of(setting: str, summary: Mapping) -> str:
         >>> units = {"objective": "nats", "demonstrations": {"x": "m", "y": "m"}}
         >>> names = ("search.first_horizon", "search.trust_threshold", "noise_std")
         >>> [unit_of(name, {"units": units}) for name in names]
-        ['control steps', 'nats a step', 'm']
+        ['whole horizons', 'nats a step and entry', 'm']
     """
     units = summary.get("units", {})
     if setting == "search.trust_threshold":
-        return f"{units.get('objective') or 'objective'} a step"
+        return f"{units.get('objective') or 'objective'} a step and entry"
     if setting == "noise_std":
         return ", ".join(dict.fromkeys(units.get("demonstrations", {}).values()))
     return SETTINGS[setting].unit if setting in SETTINGS else DERIVED.get(setting, "")

@@ -1,0 +1,114 @@
+"""The first motion of a run and the sampling that it decides, in the folder of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from tensordict import TensorDictBase
+
+from torch_pmil.checks import check_tensor
+from torch_pmil.control.tensor_file import load_tensors
+from torch_pmil.envs.operator import RolloutDiscarded
+from torch_pmil.files import FileError, read_json, short, write_json
+from torch_pmil.runs.own_files import own
+from torch_pmil.runs.run_folder import save_tensors
+from torch_pmil.tasks.first_motion import FirstMotion, choose, explore
+from torch_pmil.tasks.sampling import Sampling
+from torch_pmil.tasks.task import Task
+
+MOTION, SAMPLING = "first_motion.pt", "sampling.json"
+
+
+def sampled(
+    task: Task,
+    seed: int,
+    out: Path,
+    resume: bool,
+    before: Path | None = None,
+    report: Callable[[str], None] = lambda line: None,
+) -> tuple[Task, TensorDictBase | None]:
+    """The task as a run samples it, and the first motion so seen; None if nothing is to be chosen.
+
+    Args:
+        task: to be learned.
+        seed: of the run.
+        out: its folder.
+        resume: whether the run continues that is there, with its motion and its sampling.
+        before: folder of another run, whose sampling is taken.
+        report: called with what was chosen, in words.
+
+    Raises:
+        RunStopped, RobotError: the operator ended the run, or the robot cannot be reached.
+        ValueError: a file is damaged or of another task.
+    """
+    if not task.samplings:
+        return task, None
+    motion = _first_motion(task, seed, out, resume)
+    known = out if resume else before
+    if known is not None and (known / SAMPLING).exists():
+        sampling, nats = _read(task, known / SAMPLING)
+    else:
+        sampling, nats = choose(task, motion)
+    write_json(own(out, SAMPLING), {**asdict(sampling), "nats": nats})
+    report(in_words(task, sampling, nats))
+    chosen = sampling.of(task)
+    return chosen, motion.as_rollout(chosen)
+
+
+def in_words(task: Task, sampling: Sampling, nats: dict[str, float]) -> str:
+    """What was chosen, and how well each model predicts the first motion.
+
+    Example:
+        >>> from torch_pmil import load_experiment
+        >>> task = load_experiment("double_pendulum")
+        >>> in_words(task, Sampling(2), {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25})
+        'steps of 0.2 s: the simplest that predicts the first motion well (nats lost for each entry
+        by steps of 0.1 s: 0.53, by steps of 0.2 s: 0.25)'
+    """
+    chosen = sampling.described(task.demonstrations.time_step)
+    if not nats:
+        return f"{chosen}: the first motion was too short to compare others"
+    compared = ", ".join(f"by {name}: {value:.2f}" for name, value in nats.items())
+    return (
+        f"{chosen}: the simplest that predicts the first motion well (nats lost for each entry "
+        f"{compared})"
+    )
+
+
+def _first_motion(task: Task, seed: int, out: Path, resume: bool) -> FirstMotion:
+    """The first motion of the run in a folder, made if it is not there."""
+    path, motion = out / MOTION, None
+    if resume and path.exists():
+        return _loaded(task, path)
+    while motion is None:
+        try:
+            motion = explore(task, seed)
+        except RolloutDiscarded:
+            continue
+    save_tensors(own(out, MOTION), vars(motion))
+    return motion
+
+
+def _loaded(task: Task, path: Path) -> FirstMotion:
+    found: Any = load_tensors(path)
+    F, D = len(task.actions.names), task.space.dim
+    shapes = {"states": ("T + 1", D), "actions": ("T", F), "resting": (F,)}
+    if not isinstance(found, dict) or found.keys() != shapes.keys():
+        raise FileError(f"{path} must hold {', '.join(shapes)}, got {short(found)}")
+    for name, shape in shapes.items():
+        check_tensor(f"{path}: {name}", found[name], shape)
+    return FirstMotion(**found)
+
+
+def _read(task: Task, path: Path) -> tuple[Sampling, dict[str, float]]:
+    """A sampling that another process chose, which must be one of the task's."""
+    found = read_json(path)
+    wanted = asdict(replace(task.samplings[0]))
+    for sampling in task.samplings:
+        if all(found.get(name) == value for name, value in asdict(sampling).items()):
+            nats = {str(name): float(value) for name, value in dict(found["nats"]).items()}
+            return sampling, nats
+    raise FileError(f"{path} must be a sampling of {task.name}, as {wanted}, got {short(found)}")

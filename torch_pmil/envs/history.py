@@ -262,7 +262,7 @@ class HistoryEnv(RobotEnv):
         self._state = self.history.advanced(self._state, taken, reading)
         self.cut_short = self.robot.cut_short
         result = self._with_history(shown)
-        if self.cut_short or self.guard is None:
+        if self.cut_short or self.guard is None or self.robot.guard is not None:
             result["reward"], result["done"] = shown["reward"], shown["done"]
             return result
         return self._without_reward(result)

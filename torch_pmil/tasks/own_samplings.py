@@ -13,7 +13,7 @@ from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
 
-FEWEST = 20  # steps of a motion at the longest step
+FEWEST = 25  # steps of a motion at the longest step
 PASTS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1))  # past entries and actions, fewest first
 WHOLE = 1e-6  # by which a step may differ from a whole number of control periods
 

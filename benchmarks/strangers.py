@@ -1,0 +1,170 @@
+"""Robots on which nothing was tuned, learned with defaults alone: how many, and at what price.
+
+The robots are those of :mod:`benchmarks.stranger_robots`, or of a file given by ``--robots`` that
+has a dictionary ``STRANGERS``: by name, a gymnasium environment, the file of its recordings, and
+what a person would say to :class:`~torch_pmil.PMIL`. A run that is finished, of the same sources,
+is not made again.
+
+Example:
+    python -m benchmarks.strangers --seeds 100-102 --json strangers.json
+    python -m benchmarks.strangers --robots ../shared/strangers/robots.py --seeds 110-112
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.command_line import add_json, source_of
+from benchmarks.stranger_robots import STRANGERS
+from torch_pmil import PMIL
+from torch_pmil.files import write_json
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.trainer.ending import LIMIT
+
+OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
+Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
+ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
+VARIATIONS: dict[str, dict[str, Any]] = {
+    "": {},
+    "own step": {"step": None},
+    "no past": {"past": None},
+    "own step, no past": {"step": None, "past": None},
+}
+
+
+def main() -> None:
+    """Read the command line, learn, and print a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--robots", type=Path, help="file with other robots")
+    parser.add_argument("--names", default="", help="of the robots, by commas; all by default")
+    parser.add_argument("--seeds", default="100-102", help="of the runs, FIRST-LAST")
+    parser.add_argument("--variation", default="", choices=VARIATIONS)
+    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
+    add_json(parser, "strangers")
+    arguments = parser.parse_args()
+    known = robots(arguments.robots)
+    names = arguments.names.split(",") if arguments.names else list(known)
+    first, _, last = arguments.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    if arguments.alone:
+        torch.set_num_threads(1)
+        print(json.dumps(learned(names[0], known[names[0]], seeds[0], arguments.variation)))
+        return
+    learn = partial(_in_own_process, arguments.robots, arguments.variation)
+    with ThreadPoolExecutor(JOBS) as pool:
+        rows = list(pool.map(lambda pair: learn(*pair), [(n, s) for s in seeds for n in names]))
+    write_json(
+        arguments.json,
+        {
+            "experiment": "strangers",
+            **source_of("strangers"),
+            "headline": headline(rows),
+            "rows": rows,
+        },
+    )
+    print(table(rows))
+
+
+def robots(path: Path | None) -> dict[str, Made]:
+    """The robots of a file, or those of this package's benchmark, by name."""
+    if path is None:
+        return {
+            name: lambda each=each: (  # type: ignore[misc]
+                each.robot(),
+                each.recordings(),
+                {"control_period": each.dt, "state": each.state, **each.said},
+            )
+            for name, each in STRANGERS.items()
+        }
+    spec = spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return {
+        name: lambda each=each: (each[0](), path.parent / each[1], each[2])  # type: ignore[misc]
+        for name, each in module.STRANGERS.items()
+    }
+
+
+def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, Any]:
+    """Learn one robot, and return what came of it."""
+    begun, (robot, recordings, said) = time.process_time(), make()
+    changes = dict(VARIATIONS[variation])
+    if "step" in changes:
+        changes["step"] = said["control_period"]
+    learner = PMIL(robot, recordings, **{**said, **changes})
+    out = OUT / "_".join([name, *variation.replace(",", "").split()]) / f"seed_{seed}"
+    learner.learn(seed=seed, out=out, overwrite=True)
+    summary = learner.result.summary
+    return {
+        "robot": name,
+        "seed": seed,
+        "variation": variation,
+        "success": learner.evaluate(),
+        "experience_s": summary["experience_s"],
+        "trials": len(summary["trials"]),
+        "step_s": learner.policy.control_period,
+        "past": learner.task.history.past_actions if learner.task.history else 0,
+        "end": summary["stop_reason"],
+        "diagnosis": [reason["cause"] for reason in summary["diagnosis"]],
+        "cpu_s": round(time.process_time() - begun, 1),
+    }
+
+
+def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> dict[str, Any]:
+    """The row of a run in a process of its own, unless there is one of the same sources."""
+    commit = provenance("")["commit"]
+    kept = OUT / "rows" / "_".join([name, str(seed), *variation.replace(",", "").split()])
+    kept = kept.with_suffix(".json")
+    if kept.exists() and (row := json.loads(kept.read_text()))["commit"] == commit:
+        return row
+    given = ["--robots", str(path)] if path else []
+    command = [sys.executable, "-m", "benchmarks.strangers", "--alone", *given]
+    command += ["--names", name, "--seeds", str(seed), "--variation", variation]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{name}, seed {seed}: {done.stderr.strip().splitlines()[-1]}")
+    row = {**json.loads(done.stdout.splitlines()[-1]), "commit": commit}
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    write_json(kept, row)
+    print(ROW.format(**row), file=sys.stderr, flush=True)
+    return row
+
+
+def headline(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """The numbers of all runs that count."""
+    return {
+        "runs": len(rows),
+        "at_95": sum(row["success"] >= LEARNED for row in rows),
+        "ended": sum(row["end"] != LIMIT for row in rows),
+        "median_experience_s": statistics.median(row["experience_s"] for row in rows),
+        "max_cpu_seconds": max(row["cpu_s"] for row in rows),
+    }
+
+
+def table(rows: list[Mapping[str, Any]]) -> str:
+    """A line for each run, and the headline."""
+    head = (
+        f"{'robot':>14} {'seed':>5} {'success':>8} {'robot, s':>9} {'trials':>7} {'CPU, s':>6}  end"
+    )
+    last = ", ".join(f"{name} {value:g}" for name, value in headline([*map(dict, rows)]).items())
+    return "\n".join([head, *(ROW.format(**row) for row in rows), last])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""What a first motion decides, on robots whose right sampling is known."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, FirstMotion, choose, explore
+from torch_pmil.tasks.own_robot import own_robot
+from torch_pmil.tasks.own_samplings import samplings_of
+from torch_pmil.tasks.sampling import Sampling, at_step
+from torch_pmil.tasks.task import Task
+
+
+class Joint(gymnasium.Env):
+    """A joint whose action takes effect some periods late, with noisy readings."""
+
+    dt = 0.05
+
+    def __init__(self, late: int = 0, noise: float = 0.0) -> None:
+        self.observation_space = Box(-np.inf, np.inf, (2,), np.float64)
+        self.action_space = Box(-6.0, 6.0, (1,), np.float64)
+        self.late, self.noise = late, noise
+
+    def shown(self) -> np.ndarray:
+        return self.state + self.noise * np.array([1, 5]) * self.np_random.standard_normal(2)
+
+    def reset(self, *, seed: int | None = None, options: object = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        self.state, self.waiting = 0.02 * self.np_random.standard_normal(2), [0.0] * self.late
+        return self.shown(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        self.waiting.append(float(action[0]))
+        torque, (q, dq) = self.waiting.pop(0), self.state
+        for _ in range(25):
+            dq += 0.002 * (torque - 3 * np.sin(q) - 0.4 * dq) / 0.5
+            q += 0.002 * dq
+        self.state = np.array([q, dq])
+        return self.shown(), 0.0, False, False, {}
+
+
+def demonstrated(steps: int = 100) -> Demonstrations:
+    share = torch.linspace(0, 1, steps + 1, dtype=torch.float64)
+    way = share**3 * (10 - 15 * share + 6 * share**2)
+    return Demonstrations(torch.stack([way, 1.05 * way])[..., None], 0.05, ("q",))
+
+
+def task_of(robot: Joint | None = None, steps: int = 100, **said: object) -> Task:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return own_robot(robot or Joint(), demonstrated(steps), 0.05, state=("q", "dq"), **said)
+
+
+def chosen(robot: Joint, steps: int = 100, **said: object) -> Sampling:
+    task = task_of(robot, steps, **said)
+    return choose(task, explore(task, seed=100))[0]
+
+
+def test_robot_that_shows_all_needs_no_past() -> None:
+    assert chosen(Joint()).past == {}
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_late_robot_needs_the_actions_that_still_act(late: int) -> None:
+    assert chosen(Joint(late), steps=60, step=0.05).past == {"past_actions": late}
+
+
+def test_noisy_readings_ask_for_long_steps() -> None:
+    assert chosen(Joint(noise=0.05), past=None).held == 4
+
+
+def test_steps_are_powers_of_two_that_leave_a_motion_enough_of_them() -> None:
+    helds = {steps: [each.held for each in task_of(steps=steps, past=None).samplings] or [1]
+             for steps in (24, 49, 50, 99, 100, 400)}  # fmt: skip
+    assert helds == {
+        24: [1],
+        49: [1],
+        50: [1, 2],
+        99: [1, 2],
+        100: [1, 2, 4],
+        400: [1, 2, 4, 8, 16],
+    }
+
+
+def test_what_is_said_is_not_chosen() -> None:
+    assert task_of(step=0.1, past=None).samplings == ()
+    assert task_of(step=0.1, past_actions=1).samplings == ()
+    assert {each.past_actions for each in task_of(past_actions=2).samplings} == {2}
+    own = task_of(past=None, error=lambda rollout: rollout["observation"].sum())
+    assert (own.samplings, own.held) == ((), 1)
+
+
+def test_given_step_is_that_of_robot_demonstrations_policy_and_error() -> None:
+    task, plain = task_of(step=0.1, past_actions=1), task_of(past=None, step=0.05)
+    assert (task.horizon, task.demonstrations.time_step, task.held) == (50, 0.1, 2)
+    assert task.robot(0).control_period == pytest.approx(0.1)
+    assert task.space.names == ("q", "dq", "0@1")
+    states = plain.demonstrated_states[:101][None]
+    error = plain.error.of_states
+    every = at_step(plain, 2).error.of_states(states[:, ::2])
+    deviations = error.space.observe(states[:, 1:]) - error.demonstrated.mean
+    expected = (deviations / error.demonstrated.std)[:, 1::2].square().mean((-2, -1)).sqrt()
+    assert torch.allclose(every, expected)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.07, -0.1, True, "long", float("nan")])
+def test_step_must_be_a_multiple_of_the_control_period(step: object) -> None:
+    with pytest.raises(ValueError, match=r'step must be "auto" or seconds, a multiple of'):
+        task_of(step=step)
+
+
+def test_past_is_chosen_or_not() -> None:
+    with pytest.raises(ValueError, match=r'past must be "auto" or None, got'):
+        task_of(past="all")
+
+
+def test_motion_is_seen_as_the_sampled_robot_shows_it() -> None:
+    """States and actions are those of a robot that does the same motion."""
+    task = task_of()
+    motion = explore(task, seed=3)
+    assert motion.actions.unflatten(0, (25, 4)).std(1).max() == 0
+    sampled = Sampling(held=4, past_actions=1).of(task)
+    env, actions = sampled.robot(3), iter(motion.actions[::4])
+    rollout = env.rollout(25, lambda *_: next(actions))
+    seen = motion.as_rollout(sampled)
+    assert torch.allclose(states_of(seen), states_of(rollout), atol=1e-12)
+    assert torch.equal(seen["action"], rollout["action"])
+
+
+def test_motion_that_is_too_short_decides_nothing() -> None:
+    task = task_of()
+    motion = explore(task, seed=100)
+    few = FEWEST_SPANS * SPAN * 4 - 1
+    short = FirstMotion(motion.states[: few + 1], motion.actions[:few], motion.resting)
+    assert choose(task, short) == (task.samplings[0], {})
+
+
+def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:
+    task = replace(task_of(), samplings=())
+    assert samplings_of(task, Sampling(), "auto", "auto")[0] == Sampling()

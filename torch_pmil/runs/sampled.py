@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +105,9 @@ def _loaded(task: Task, path: Path) -> FirstMotion:
 
 def _read(task: Task, path: Path) -> tuple[Sampling, dict[str, float]]:
     """A sampling that another process chose, which must be one of the task's."""
-    found = read_json(path)
-    wanted = asdict(replace(task.samplings[0]))
+    found, wanted = read_json(path), asdict(task.samplings[0])
+    nats = found.get("nats") if isinstance(found, dict) else None
     for sampling in task.samplings:
-        if all(found.get(name) == value for name, value in asdict(sampling).items()):
-            nats = {str(name): float(value) for name, value in dict(found["nats"]).items()}
-            return sampling, nats
+        if isinstance(nats, dict) and {**found, "nats": {}} == {**asdict(sampling), "nats": {}}:
+            return sampling, {name: float(value) for name, value in nats.items()}
     raise FileError(f"{path} must be a sampling of {task.name}, as {wanted}, got {short(found)}")

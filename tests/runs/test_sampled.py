@@ -1,0 +1,100 @@
+"""The first motion of a run: kept, continued, and refused if it is another's."""
+
+from __future__ import annotations
+
+import json
+from functools import partialmethod
+from pathlib import Path
+
+import pytest
+import torch
+
+from torch_pmil import PMIL
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.files import FileError
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.sampled import MOTION, SAMPLING, sampled
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks import first_motion
+from torch_pmil.tasks.own_robot import own_robot
+from torch_pmil.tasks.task import Task
+from torch_pmil.trainer.trainer import PMILTrainer
+
+STATE = ("q1", "dq1", "q2", "dq2")
+SHORT = SearchSettings(1, 1, 1, first_horizon=1.0)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+
+
+def shown() -> Demonstrations:
+    ways = torch.linspace(3.1, 3.4, 51).double()[:, None].expand(51, 2)
+    return Demonstrations(torch.stack([ways, 1.02 * ways]), 0.1, ("q1", "q2"))
+
+
+def said() -> dict[str, object]:
+    return {"state": STATE, "angles": ("q1", "q2"), "search": SHORT, "num_centres": 5}
+
+
+def task() -> Task:
+    return own_robot(DoublePendulumEnv(), shown(), 0.1, **said())
+
+
+def test_motion_and_choice_are_taken_up_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[str] = []
+    chosen, motion = sampled(task(), 100, tmp_path, resume=False, report=lines.append)
+    assert chosen.samplings == () and lines[0].startswith("steps of 0.")
+    assert set(json.loads((tmp_path / SAMPLING).read_text())["nats"]) >= {"steps of 0.1 s"}
+    monkeypatch.setattr(first_motion, "held_out_loss", None)  # nothing is compared anew
+    again, same = sampled(task(), 100, tmp_path, resume=True, report=lines.append)
+    assert again.settings == chosen.settings and lines[1] == lines[0]
+    assert torch.equal(same["observation"], motion["observation"])
+
+
+def test_task_that_is_sampled_already_makes_no_motion(tmp_path: Path) -> None:
+    plain = own_robot(DoublePendulumEnv(), shown(), 0.1, step=0.1, past=None, **said())
+    assert sampled(plain, 0, tmp_path, resume=False) == (plain, None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_of_another_robot_are_refused(tmp_path: Path) -> None:
+    sampled(task(), 100, tmp_path, resume=False)
+    kept = (tmp_path / SAMPLING).read_text()
+    (tmp_path / SAMPLING).write_text(kept.replace('"held": ', '"held": 9'))
+    with pytest.raises(FileError, match="must be a sampling of DoublePendulumEnv"):
+        sampled(task(), 100, tmp_path, resume=True)
+    (tmp_path / SAMPLING).write_text("[]")
+    with pytest.raises(FileError, match="must be a sampling of DoublePendulumEnv"):
+        sampled(task(), 100, tmp_path, resume=True)
+    torch.save({"states": torch.zeros(3, 2)}, tmp_path / MOTION)
+    with pytest.raises(FileError, match="must hold states, actions, resting"):
+        sampled(task(), 100, tmp_path, resume=True)
+
+
+def test_run_that_was_stopped_goes_on_with_its_motion_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    whole = PMIL(DoublePendulumEnv(), shown(), 0.1, **said()).learn(2, seed=100, out="whole")
+    fit, fits = PMILTrainer.fit_dynamics, []
+
+    def stopping(trainer: PMILTrainer) -> None:
+        fits.append(trainer)
+        if len(fits) == 2:
+            raise KeyboardInterrupt
+        fit(trainer)
+
+    monkeypatch.setattr(PMILTrainer, "fit_dynamics", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        PMIL(DoublePendulumEnv(), shown(), 0.1, **said()).learn(2, seed=100, out="run")
+    learner = PMIL(DoublePendulumEnv(), shown(), 0.1, **said())
+    learner.learn(2, seed=100, out="run", resume=True)
+    for name, value in whole.policy.policy.state_dict().items():
+        assert torch.equal(learner.policy.policy.state_dict()[name], value)
+    assert learner.policy.control_period == whole.policy.control_period
+    assert learner.result.summary["experience_s"] == pytest.approx(3 * 5.0)

@@ -112,6 +112,19 @@ def test_given_step_is_that_of_robot_demonstrations_policy_and_error() -> None:
     assert torch.allclose(every, expected)
 
 
+def test_tolerance_by_name_is_in_units_of_the_entry() -> None:
+    task = task_of(tolerance={"q": 0.05}, past=None)
+    states = task.demonstrated_states[:101] * 1.0
+    states[:, 0] = torch.cat([states[:1, 0], task.demonstrated.mean[:, 0] + 0.04])
+    error = task.error.of_states
+    assert task.tolerance == 1 and error(states[None]).item() == pytest.approx(0.04 / 0.05)
+    assert error.every(4)(states[None, ::4]).item() == pytest.approx(0.04 / 0.05)
+    with pytest.raises(ValueError, match="by entries of the demonstrations, q, got q2"):
+        task_of(tolerance={"q2": 0.05})
+    with pytest.raises(ValueError, match="tolerance of q must be"):
+        task_of(tolerance={"q": 0.0})
+
+
 @pytest.mark.parametrize("step", [0.0, 0.07, -0.1, True, "long", float("nan")])
 def test_step_must_be_a_multiple_of_the_control_period(step: object) -> None:
     with pytest.raises(ValueError, match=r'step must be "auto" or seconds, a multiple of'):

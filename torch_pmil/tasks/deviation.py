@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
 from torch import Tensor
 
+from torch_pmil.checks import check_positive
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -15,18 +17,42 @@ from torch_pmil.gp.gaussian import Gaussian
 class Deviation:
     """Root mean square distance from the demonstrated mean, in standard deviations.
 
+    With ``allowed`` it is the largest distance of the named entries, each in root mean square over
+    time and in the largest that is allowed, so that a success has an error of at most 1.
+
     Args:
         demonstrated: marginals at t = 1..T, mean (T, M) in the match space.
         space: of the states.
+        allowed: largest distances by entry of the match space, in its unit; None for all entries
+            in standard deviations.
+
+    Raises:
+        ValueError: an entry is unknown, or a distance is not positive.
     """
 
     demonstrated: Gaussian
     space: StateSpace
+    allowed: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        known = self.space.match_space.names
+        for name, distance in (self.allowed or {}).items():
+            if name not in known:
+                raise ValueError(
+                    f"tolerance must be by entries of the demonstrations, {', '.join(known)}, got "
+                    f"{name}"
+                )
+            check_positive(f"tolerance of {name}", distance)
 
     def __call__(self, states: Tensor) -> Tensor:
         """Errors (*batch) of states x_0..x_T, (*batch, T + 1, D)."""
         apart = self.space.observe(states[..., 1:, :]) - self.demonstrated.mean
-        return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
+        if self.allowed is None:
+            return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
+        known = self.space.match_space.names
+        chosen = apart[..., [known.index(name) for name in self.allowed]]
+        distances = chosen.square().mean(-2).sqrt()
+        return (distances / distances.new_tensor(list(self.allowed.values()))).amax(-1)
 
     def every(self, periods: int) -> Self:
         """That of every so many steps."""

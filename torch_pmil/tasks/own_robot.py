@@ -70,7 +70,9 @@ def own_robot(
     - The demonstrated states come from
       :func:`~torch_pmil.control.recovered_states.recover_states`.
     - A success is a rollout within twice the standard deviation of the demonstrations (noise
-      included) of their mean, in root mean square over all entries and times.
+      included) of their mean, in root mean square over all entries and times. A ``tolerance`` by
+      name, as ``{"q2": 0.05}``, is instead the largest distance of each named entry from that mean,
+      in its unit and in root mean square over time.
 
     Actions that have the names of entries of the state, and not another unit, are targets of these
     entries, so the first policy holds the robot where it is.
@@ -193,6 +195,11 @@ def _task(
     given["noise_std"] = torch.as_tensor(given["noise_std"], dtype=torch.float64)
     if "initial" not in given:
         given["initial"] = start_of(starts, states, space.names)
+    allowed = given.get("tolerance")
+    if isinstance(allowed, Mapping):
+        given["tolerance"] = 1.0  # of the largest share of what is allowed
+    else:
+        allowed = None
     marginals, actions = expert_distribution(shown, given["noise_std"]), actions_of(robot())
     held = robot.held if isinstance(robot, MujocoRobot) else _held(actions, space)
     demonstrated = states.flatten(0, 1)
@@ -202,7 +209,7 @@ def _task(
         "holding_actions": held,
         "held_states": None if held is None else demonstrated,
         "demonstrated_states": demonstrated,
-        "error": of_states(Deviation(marginals, space)),
+        "error": of_states(Deviation(marginals, space, allowed)),
         "tolerance": TOLERANCE,
         "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,

@@ -11,7 +11,7 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.trainer.trials import Trial
 
 LIMIT = "limit of trials"
-AGAIN = 4  # own successes in a row that end a run, whatever the model promises
+AGAIN = 3  # own successes in a row that end a run, whatever the model promises
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 

@@ -8,11 +8,23 @@ import pytest
 from torch import Tensor
 
 from torch_pmil.search.promise import Promise
-from torch_pmil.trainer.ending import LIMIT, Ending
+from torch_pmil.trainer.ending import AGAIN, LIMIT, Ending
 
 
 def error(states: Tensor) -> Tensor:
     return states[..., 0, 0]
+
+
+@pytest.mark.parametrize(("confirmations", "needed"), [(1, AGAIN), (5, 5)])
+def test_own_successes_again_and_again_end_a_run_whatever_is_promised(
+    confirmations: int, needed: int
+) -> None:
+    ending = Ending(9, confirmations, Promise(0.95, error, 0.1))
+    poor = SimpleNamespace(own_success=True, promised_success_rate=0.5)
+    failed = SimpleNamespace(own_success=False, promised_success_rate=None)
+    assert ending.reason([failed, *[poor] * (needed - 1)]) == ""
+    assert "trials in a row succeeded" in ending.reason([failed, *[poor] * needed])
+    assert ending.reason([*[poor] * (needed - 1), failed]) == ""
 
 
 @pytest.mark.parametrize(
@@ -23,8 +35,8 @@ def error(states: Tensor) -> Tensor:
         (
             1,
             0.95,
-            (0.93, None, 0.957, 0.96, 0.94),
-            "the own rollout succeeded in 4 of 5 trials, but the model promises success from 96.0% "
+            (0.93, None, 0.957, 0.96, None),
+            "the own rollout succeeded in 3 of 5 trials, but the model promises success from 96.0% "
             "of the starts at most, where promise=0.95 asks 97.5%; more trials may reach that, and "
             "promise=0.91 would have ended the run at trial 3",
         ),

@@ -140,6 +140,8 @@ def train(
     check_logger(logger)
     rehearse(task.samplings[0].of(task) if task.samplings else task)
     another = None if isinstance(resume, bool) else Path(resume)
+    if another is not None:
+        _of_another(another, out, {})  # it is there, before the robot moves or a file is removed
 
     def record(trial: Trial) -> None:
         write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)

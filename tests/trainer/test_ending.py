@@ -28,6 +28,18 @@ def test_own_successes_again_and_again_end_a_run_whatever_is_promised(
 
 
 @pytest.mark.parametrize(
+    ("promised", "ends"), [((0.96, 0.95), True), ((0.96, 0.94), False), ((0.94, 0.96), False)]
+)
+def test_two_successes_of_models_that_predict_the_promised_rate_end_a_run(
+    promised: tuple[float, float], ends: bool
+) -> None:
+    trials = [SimpleNamespace(own_success=True, promised_success_rate=rate) for rate in promised]
+    reason = Ending(9, 1, Promise(0.95, error, 0.1)).reason(trials)
+    assert bool(reason) == ends
+    assert not ends or reason.endswith("both models predict success from 95.0% of the starts")
+
+
+@pytest.mark.parametrize(
     ("confirmations", "rate", "promised", "unmet"),
     [
         (1, 0.95, (None, None), ""),
@@ -35,7 +47,7 @@ def test_own_successes_again_and_again_end_a_run_whatever_is_promised(
         (
             1,
             0.95,
-            (0.93, None, 0.957, 0.96, None),
+            (0.93, None, 0.957, None, 0.96),
             "the own rollout succeeded in 3 of 5 trials, but the model promises success from 96.0% "
             "of the starts at most, where promise=0.95 asks 97.5%; more trials may reach that, and "
             "promise=0.91 would have ended the run at trial 3",

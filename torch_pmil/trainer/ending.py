@@ -22,9 +22,9 @@ class Ending:
     Args:
         trials: largest number of trials.
         confirmations: own successes in a row without which no run ends.
-        promise: what the newest model must predict after the last of them, unless there are
-            ``AGAIN`` in a row; None if no success is predicted, so that the confirmations alone
-            end the run.
+        promise: what the newest model must predict after the last of them, unless the two newest
+            predict the rate itself after two successes, or there are ``AGAIN`` in a row; None if no
+            success is predicted, so that the confirmations alone end the run.
 
     Example:
         >>> Ending(trials=0)
@@ -51,9 +51,22 @@ class Ending:
                 return (
                     f"{done}, and the model predicts success from {rate:.1%} of the starts at least"
                 )
+            if self._twice(trials):
+                least = f"{self.promise.rate:.1%} of the starts"
+                return f"{_done(2)}, and both models predict success from {least}"
         if _succeeded(trials, again := max(AGAIN, self.confirmations)):
             return _done(again)
         return LIMIT if len(trials) >= self.trials else ""
+
+    def _twice(self, trials: Sequence[Trial]) -> bool:
+        """Whether two trials in a row succeeded whose models predict the promised rate itself.
+
+        The second success shows what half of the failures are reserved for: that the model does not
+        know much that matters.
+        """
+        assert self.promise is not None
+        rates = [trial.promised_success_rate or 0.0 for trial in trials[-2:]]
+        return _succeeded(trials, 2) and min(rates) >= self.promise.rate
 
     def unmet(self, trials: Sequence[Trial]) -> str:
         """What a run lacked that ended at its limit though own rollouts succeeded; "" for others.

@@ -229,7 +229,7 @@ def _along_the_trajectory(
     matched = first_mismatch(step_loss, threshold) is None
     return {
         "complete": horizon == experiment.horizon and matched,
-        "loss": step_loss.sum().item(),
+        "loss": loss.per_step(experiment.initial).sum().item(),
         "followed": two_sigma_coverage(predicted[:horizon], outcome.executed[:, : horizon + 1]),
         "known": known_steps(experiment, dynamics, outcome)[:, :horizon].double().mean().item(),
         "spread_share": _spread_share(experiment, predicted, step_loss > threshold),

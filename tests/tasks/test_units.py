@@ -19,7 +19,7 @@ from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.rehearsal import rehearse
 
 gymnasium = pytest.importorskip("gymnasium")
-SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=1.0)
+SHORT = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=1e9)  # one search a trial
 SERVO = """<mujoco><worldbody>
 <body><joint name="q" range="-170 170"/><geom size="0.1" pos="0.3 0 0"/>
 </body></worldbody><actuator><motor name="m" joint="q" ctrlrange="-30 30"/></actuator></mujoco>"""

@@ -21,7 +21,6 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 U_MAX = torch.tensor([3.5, 3.5], dtype=torch.float64)
-NO_LIMITS = torch.full((4,), torch.inf, dtype=torch.float64)
 HOLD, STEPS = 5, 4
 
 
@@ -33,7 +32,7 @@ def dmp(draws: Draws) -> DMP:
 @pytest.fixture
 def learner(dmp: DMP) -> InverseDynamicsLearner:
     reference = dmp_reference(dmp, STEPS, 0.1, HOLD)
-    return InverseDynamicsLearner(double_pendulum_space(), reference, U_MAX, NO_LIMITS, 0.1)
+    return InverseDynamicsLearner(double_pendulum_space(), reference, U_MAX, 0.1)
 
 
 def motion(draws: Draws) -> Motion:
@@ -111,7 +110,7 @@ def test_robot_with_the_right_torques_is_on_the_reference(draws: Draws) -> None:
         states.append(env.simulate(states[-1], torque))
     done = Motion(torch.stack(states, 1)[0], torques[:, 0])
     learner = InverseDynamicsLearner(
-        double_pendulum_space(), Reference(done.states, torch.zeros(13, 2)), U_MAX, NO_LIMITS, 0.1
+        double_pendulum_space(), Reference(done.states, torch.zeros(13, 2)), U_MAX, 0.1
     )
     learner.controller.inverse = iter_torques(torques)
     again = learner.execute(StartAt(done.states[0]))

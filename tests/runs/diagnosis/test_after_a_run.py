@@ -187,7 +187,7 @@ def test_search_is_stuck_where_the_kl_rises_or_wants_more_trials_if_it_came_furt
     ((cause, message),) = diagnose(task, *learned()).items()  # as the model is right
     assert cause == "search stuck"
     with torch.no_grad():
-        kl = task.make_loss(*learned()).per_step(task.initial)
+        kl = task.make_loss(*learned()).step_loss_for_trust(task.initial)
     step = int(re.search(r"\(step (\d+) of 25\)", message)[1])
     assert kl[step - 1] > task.method.search.trust_threshold >= kl[: step - 1].max()
     assert message.startswith(

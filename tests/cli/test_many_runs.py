@@ -18,6 +18,7 @@ import torch
 
 from torch_pmil.control.policy_file import load_policy
 from torch_pmil.demonstrations import shipped_demonstrations
+from torch_pmil.runs.own_files import LIST
 
 ROOT = Path(__file__).parents[2]
 SEEDS = range(4)
@@ -80,7 +81,7 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(
 ) -> None:
     assert (joblib.returncode, joblib.stderr) == (0, "")
     files = {"metrics.csv", "run.json", "settings.yaml", "summary.json", "policy.pt", "dynamics.pt"}
-    files |= {"video.mp4", "video.gif", "report.html", "figures", "checkpoints", "logs"}
+    files |= {"video.mp4", "video.gif", "report.html", "figures", "checkpoints", "logs", LIST}
     told = joblib.stdout.splitlines()
     for seed in SEEDS:
         run = f"joblib/seed_{seed}"

@@ -183,9 +183,9 @@ def test_error_is_of_the_rollout_as_the_environment_gives_it() -> None:
 
 
 class ScriptedPromise:
-    """A promise with an aim of 0.95, for which the models predict these rates, one by one."""
+    """A promise with a rate of 0.9, for which the models predict these rates, one by one."""
 
-    aim, tolerance = 0.95, 0.5
+    rate, aim, tolerance = 0.9, 0.95, 0.5
 
     def __init__(self, *rates: float) -> None:
         self._rates = iter(rates)

@@ -7,14 +7,14 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 from torchrl.data import Binary
 
 from torch_pmil.checks import check_whole
 from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.wrapped_robot import WrappedRobotEnv
 
 
-class HeldActionsEnv(RobotEnv):
+class HeldActionsEnv(WrappedRobotEnv):
     """A robot that acts at a lower rate: each action is held for several control periods.
 
     A step of this robot shows the reading after the last of these periods. The guard sees every
@@ -38,40 +38,10 @@ class HeldActionsEnv(RobotEnv):
 
     def __init__(self, make_env: Callable[..., RobotEnv], periods: int, **settings: Any) -> None:
         check_whole("periods", periods, 1)
-        robot = make_env(**settings)
-        period, seed = periods * robot.control_period, settings.get("seed")
-        super().__init__(robot.batch_size, period, robot.from_pixels, seed)
-        self.robot, self.periods = robot, periods
-        self.physical, self.turns = robot.physical, robot.turns
-        limits, more = robot.action_spec.space, robot.observation_spec.clone()
-        dim = more["observation"].shape[-1]
-        del more["observation"]
-        whole = {"measured": Binary(1, (*robot.batch_size, 1), dtype=torch.bool)}
-        self._set_specs(dim, limits.low, limits.high, dict(more.items()) | whole)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the robot."""
-        return self.robot.action_names
-
-    @property
-    def action_units(self) -> tuple[str, ...]:
-        """Units of the robot."""
-        return self.robot.action_units
-
-    @property
-    def torque_limits(self) -> Tensor | None:
-        """Limits of the robot."""
-        return self.robot.torque_limits
-
-    def beyond_range(self, states: Tensor) -> Tensor | None:
-        """Distances of the robot's joints."""
-        return self.robot.beyond_range(states)
-
-    def close(self, **kwargs: Any) -> None:
-        """Close the robot."""
-        self.robot.close(**kwargs)
-        super().close(**kwargs)
+        super().__init__(make_env, periods, settings)
+        self.periods = periods
+        whole = Binary(1, (*self.batch_size, 1), dtype=torch.bool)
+        self._set_own_specs(None, {"measured": whole})
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = TensorDict({}, self.batch_size) if tensordict is None else tensordict.copy()

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torch_pmil.envs.robot import RobotEnv, is_whole_number
+from torch_pmil.envs.wrapped_robot import WrappedRobotEnv
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class History:
         return before + reading[..., list(self.measured)] @ self.gain.to(state).mT
 
 
-class HistoryEnv(RobotEnv):
+class HistoryEnv(WrappedRobotEnv):
     """A robot whose observation holds some of the past, given by a :class:`History`.
 
     A reset assumes a robot at rest: hidden velocities are zero, past entries equal the present
@@ -197,55 +198,26 @@ class HistoryEnv(RobotEnv):
         resting: Callable[[Tensor], Tensor],
         **settings: Any,
     ) -> None:
-        robot = make_env(**settings)
-        seed = settings.get("seed")
-        super().__init__(robot.batch_size, robot.control_period, robot.from_pixels, seed)
-        self.robot, self.history, self.resting = robot, history, resting
-        self.physical, self.turns = robot.physical, robot.turns
-        limits, more = robot.action_spec.space, robot.observation_spec.clone()
-        del more["observation"]
-        self._set_specs(history.dim, limits.low, limits.high, dict(more.items()))
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the robot."""
-        return self.robot.action_names
-
-    @property
-    def action_units(self) -> tuple[str, ...]:
-        """Units of the robot."""
-        return self.robot.action_units
-
-    @property
-    def torque_limits(self) -> Tensor | None:
-        """Limits of the robot."""
-        return self.robot.torque_limits
+        super().__init__(make_env, 1, settings)
+        self.history, self.resting = history, resting
+        self._set_own_specs(history.dim, {})
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques of the robot."""
-        return self.robot.needed_torques(self._shown(states))
-
-    def beyond_range(self, states: Tensor) -> Tensor | None:
-        """Distances of the robot's joints."""
-        return self.robot.beyond_range(self._shown(states))
-
-    def close(self, **kwargs: Any) -> None:
-        """Close the robot."""
-        self.robot.close(**kwargs)
-        super().close(**kwargs)
+        return self.robot.needed_torques(self._of_robot(states))
 
     def _guard_reading(self, reading: Tensor) -> str:
         assert self.guard is not None
         return self.guard(pad(reading, (0, self.history.dim - reading.shape[-1])))
 
-    def _shown(self, states: Tensor) -> Tensor:
+    def _of_robot(self, states: Tensor) -> Tensor:
         return states[..., : len(self.history.names)]
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = TensorDict({}, self.batch_size) if tensordict is None else tensordict.copy()
         start = given.get("observation", None)
         if start is not None:
-            given["observation"] = self._shown(start)
+            given["observation"] = self._of_robot(start)
         seen = self.guard is not None and not self.history.hidden
         self.robot.guard = self._guard_reading if seen else None  # between held actions too
         shown = self.robot.reset(given)

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import gp_data
+from torch_pmil.model.particles import sample_outputs
 
 FOLDS = 4  # consecutive parts of the motion, each predicted from the others
 PARTICLES = 64
@@ -89,8 +89,7 @@ def _followed(dynamics: GPDynamics, starts: Tensor, actions: Tensor, space: Stat
     state = starts.expand(PARTICLES, -1, -1)
     for action in actions.unbind(1):
         action = action.expand(PARTICLES, -1, -1)
-        mean, variance = expansion.predict(torch.cat([space.features(state), action], -1))
-        std = (variance + expansion.noise).clamp(min=0).sqrt()
-        outputs = mean + std * normal(mean.shape, mean, generator)
+        inputs = torch.cat([space.features(state), action], -1)
+        outputs = sample_outputs(expansion, inputs, generator)
         state = known.successors(state, action, outputs)
     return state

@@ -11,6 +11,7 @@ from torch_pmil.checks import check_whole
 from torch_pmil.control.rbf_policy import Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
+from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import check_finite, check_start_belief
 from torch_pmil.seeds import LARGEST_SEED
@@ -72,13 +73,24 @@ def sample_rollouts(
     for _ in range(horizon):
         features = space.features(state)
         action = controller(features)
-        mean, variance = expansion.predict(torch.cat([features, action], -1))
-        if observation_noise:
-            variance = variance + expansion.noise
-        outputs = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
+        inputs = torch.cat([features, action], -1)
+        outputs = sample_outputs(expansion, inputs, generator, observation_noise)
         state = known.successors(state, action, outputs)
         states.append(state)
     return torch.stack(states, -2)
+
+
+def sample_outputs(
+    expansion: KernelExpansion,
+    inputs: Tensor,
+    generator: torch.Generator,
+    observation_noise: bool = True,
+) -> Tensor:
+    """Outputs (*batch, E) drawn from a posterior at inputs (*batch, D' + F)."""
+    mean, variance = expansion.predict(inputs)
+    if observation_noise:
+        variance = variance + expansion.noise
+    return mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
 
 
 @dataclass(frozen=True)

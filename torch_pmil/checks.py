@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from torch_pmil.files import short
 
+WHOLE = 1e-6  # by which a ratio may differ from a whole number
 LARGEST = sys.float_info.max  # of whole numbers, which Python lets grow beyond it
 LONGEST_NAME = 100  # characters
 Shape = tuple[int | str, ...]
@@ -28,6 +30,18 @@ def check_whole(name: str, value: object, least: int, most: int | None = None) -
     if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
         wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
+
+
+def whole_multiple(value: float, unit: float) -> int | None:
+    """How many units a positive value has, if that is a whole number from 1 on; else None.
+
+    Example:
+        >>> whole_multiple(0.3, 0.1), whole_multiple(0.25, 0.1)
+        (3, None)
+    """
+    ratio = value / unit
+    whole = math.isfinite(ratio) and math.isclose(ratio, round(ratio), rel_tol=WHOLE)
+    return round(ratio) if whole and ratio >= 1 - WHOLE else None
 
 
 def check_positive(name: str, value: object, zero: bool = False) -> None:

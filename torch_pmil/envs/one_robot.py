@@ -13,14 +13,12 @@ from torchrl.data import Bounded
 from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
-from torch_pmil.checks import check_whole
+from torch_pmil.checks import check_whole, whole_multiple
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
 from torch_pmil.envs.layers import resetting_layer
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Turning
-
-WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
 
 
 class OneRobot:
@@ -172,10 +170,10 @@ def _steps_of(env: gymnasium.Env, control_period: float) -> int:
             f"steps_per_action must be given, since {type(env.unwrapped).__name__} has no dt: the "
             f"number of its steps in {control_period:g} s, got none"
         )
-    ratio = control_period / step
-    if ratio < 1 - WHOLE or not math.isclose(ratio, round(ratio), rel_tol=WHOLE):
+    steps = whole_multiple(control_period, step)
+    if steps is None:
         raise ValueError(
             f"control_period must be a whole number of the environment's steps of {step:g} s, got "
             f"{control_period:g} s"
         )
-    return round(ratio)
+    return steps

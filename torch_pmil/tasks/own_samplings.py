@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
+from torch_pmil.checks import whole_multiple
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.files import short
@@ -15,7 +15,6 @@ from torch_pmil.tasks.task import Task
 
 FEWEST = 25  # steps of a motion at the longest step
 PASTS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1))  # past entries and actions, fewest first
-WHOLE = 1e-6  # by which a step may differ from a whole number of control periods
 
 
 def samplings_of(task: Task, given: Sampling, step: object, past: object) -> tuple[Sampling, ...]:
@@ -44,18 +43,17 @@ def _steps(task: Task) -> list[int]:
     error = task.error.of_states if isinstance(task.error, OfStates) else None
     if not isinstance(error, Deviation) or not isinstance(task.exploration, RandomActions):
         return [1]
-    longest = max(0, int(math.log2(task.horizon / FEWEST))) if task.horizon >= FEWEST else 0
-    return [2**power for power in range(longest + 1)]
+    return [2**power for power in range(max(1, (task.horizon // FEWEST).bit_length()))]
 
 
 def _periods(task: Task, step: Any) -> int:
     """A step in control periods."""
     period = task.demonstrations.time_step
     number = isinstance(step, int | float) and not isinstance(step, bool)
-    ratio = step / period if number else math.nan
-    if not (ratio >= 1 - WHOLE and math.isclose(ratio, round(ratio), rel_tol=WHOLE)):
+    periods = whole_multiple(step, period) if number else None
+    if periods is None:
         raise ValueError(
             f'step must be "auto" or seconds, a multiple of control_period = {period:g} s, got '
             f"{short(step)}"
         )
-    return round(ratio)
+    return periods

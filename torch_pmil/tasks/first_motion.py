@@ -99,15 +99,14 @@ def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]
         return [each for each in found if found[each] <= ALIKE * min(found.values()) + SMALL]
 
     def loss(sampling: Sampling) -> float:
-        nats = _loss(sampling.of(task), motion, longest // sampling.held)
-        tried[sampling.described(task.demonstrations.time_step)] = nats
-        return nats
+        name = sampling.described(task.demonstrations.time_step)
+        if name not in tried:
+            tried[name] = _loss(sampling.of(task), motion, longest // sampling.held)
+        return tried[name]
 
     first = samplings[0]
     steps = alike(replace(first, held=held) for held in sorted({each.held for each in samplings}))
-    if len(samplings) > len({each.held for each in samplings}):
-        return alike(each for each in samplings if each.held == steps[-1].held)[0], tried
-    return steps[-1], tried
+    return alike(each for each in samplings if each.held == steps[-1].held)[0], tried
 
 
 def _loss(task: Task, motion: FirstMotion, every: int) -> float:

@@ -19,7 +19,6 @@ from torch_pmil.demonstrations import Recordings
 
 Array = np.ndarray
 Derivative = Callable[[Array, Array], Sequence[float] | Array]
-DEVELOPED = 10  # robots that may be looked at
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
 from torch_pmil.files import write_json
 from torch_pmil.runs.run_folder import provenance
+from torch_pmil.tasks.registry import module_of
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
@@ -91,13 +91,9 @@ def robots(path: Path | None) -> dict[str, Made]:
             )
             for name, each in STRANGERS.items()
         }
-    spec = spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
     return {
         name: lambda each=each: (each[0](), path.parent / each[1], each[2])  # type: ignore[misc]
-        for name, each in module.STRANGERS.items()
+        for name, each in module_of(str(path)).STRANGERS.items()
     }
 
 
@@ -108,7 +104,7 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     if "step" in changes:
         changes["step"] = said["control_period"]
     learner = PMIL(robot, recordings, **{**said, **changes})
-    out = OUT / "_".join([name, *variation.replace(",", "").split()]) / f"seed_{seed}"
+    out = OUT / _label(name, variation) / f"seed_{seed}"
     learner.learn(seed=seed, out=out, overwrite=True)
     summary = learner.result.summary
     return {
@@ -129,9 +125,9 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
 def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> dict[str, Any]:
     """The row of a run in a process of its own, unless there is one of the same sources."""
     commit = provenance("")["commit"]
-    kept = OUT / "rows" / "_".join([name, str(seed), *variation.replace(",", "").split()])
-    kept = kept.with_suffix(".json")
-    if kept.exists() and (row := json.loads(kept.read_text()))["commit"] == commit:
+    kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
+    known = kept.exists() and not str(commit).endswith("-dirty")  # sources that can be told apart
+    if known and (row := json.loads(kept.read_text()))["commit"] == commit:
         return row
     given = ["--robots", str(path)] if path else []
     command = [sys.executable, "-m", "benchmarks.strangers", "--alone", *given]
@@ -144,6 +140,10 @@ def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> 
     write_json(kept, row)
     print(ROW.format(**row), file=sys.stderr, flush=True)
     return row
+
+
+def _label(name: str, variation: str) -> str:
+    return "_".join([name, *variation.replace(",", "").split()])
 
 
 def headline(rows: list[dict[str, Any]]) -> dict[str, float]:

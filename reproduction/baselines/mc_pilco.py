@@ -18,7 +18,7 @@ from which the position follows; and that a search goes on from the last policy.
   double pendulum is chaotic: otherwise a few particles have slopes of many orders, and their mean
   is noise. ``most_slope`` None is the published gradient, which ``tune_peers`` measures too.
 - A search has at most ``most_steps`` steps of Adam, for the time they take; published are more.
-- The model is fitted as ours is, its lengthscales, penalties and limits of the data included, and
+- The model is fitted as ours is, its lengthscales and penalties included, and
   its noise is part of each step. How positions follow from velocities is fitted too, in place of
   the trapezoidal rule. Where no entry of the state is another's velocity, all are learned.
 - The first policy has centres, widths and weights of a first one of ours: near the demonstrated

@@ -151,8 +151,7 @@ def train(
         _clear(out, resume is True, overwrite)
         task, first = sampled(task, seed, out, resume is True, another, announce)
         identity = _identity(task, seed)
-        rotation = rotation_in(out / "checkpoints", identity)
-        rotation.announce = lambda name: own(out, f"checkpoints/{name}")
+        rotation = _rotation(out, identity)
         before = None if another is None else _of_another(another, out, identity)
         saved = _same_run(rotation, identity) if resume is True else None
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
@@ -172,6 +171,13 @@ def train(
             if not ended:
                 saved = discard_newest(rotation)
         return _finish(trainer, task, out, {"seed": seed, **source}, trials)
+
+
+def _rotation(out: Path, identity: dict[str, object]) -> RunRotation:
+    """The checkpoints of a run, each of which is listed before it is written."""
+    rotation = rotation_in(out / "checkpoints", identity)
+    rotation.announce = lambda name: own(out, f"checkpoints/{name}")
+    return rotation
 
 
 def _clear(out: Path, resume: bool, overwrite: bool) -> None:

@@ -105,13 +105,13 @@ def _maker(name: object) -> Callable[..., Any]:
             f"MODULE:FUNCTION of your own, got {short(name)}"
         )
     source, _, function = name.rpartition(":")
-    make = getattr(_module(source), function, None)
+    make = getattr(module_of(source), function, None)
     if not callable(make):
         raise ValueError(f"{source} must have a function {function}, found none of that name")
     return make
 
 
-def _module(source: str) -> ModuleType:
+def module_of(source: str) -> ModuleType:
     """The module of a file, or one of the working folder or of the installed packages.
 
     Others beside it can be imported by it.

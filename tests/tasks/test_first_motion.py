@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.rollouts import states_of
+from torch_pmil.tasks import first_motion
 from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, FirstMotion, choose, explore
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_samplings import samplings_of
@@ -75,7 +76,7 @@ def test_late_robot_needs_the_actions_that_still_act(late: int) -> None:
 
 
 def test_noisy_readings_ask_for_long_steps() -> None:
-    assert chosen(Joint(noise=0.05), past=None).held == 4
+    assert chosen(Joint(noise=0.01), past=None).held == 2
 
 
 def test_steps_are_powers_of_two_that_leave_a_motion_enough_of_them() -> None:
@@ -155,6 +156,19 @@ def test_motion_that_is_too_short_decides_nothing() -> None:
     few = FEWEST_SPANS * SPAN * 4 - 1
     short = FirstMotion(motion.states[: few + 1], motion.actions[:few], motion.resting)
     assert choose(task, short) == (task.samplings[0], {})
+
+
+@pytest.mark.parametrize(
+    ("losses", "held"),
+    [((0.10, 0.12, 0.40), 2), ((0.40, 0.12, 0.10), 4), ((2.0, 2.1, 1.9), 1), ((4.0, 2.1, 1.9), 2)],
+)
+def test_step_is_the_longest_alike_of_good_models_and_the_shortest_alike_of_bad_ones(
+    losses: tuple[float, ...], held: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = dict(zip((1, 2, 4), losses, strict=True))
+    monkeypatch.setattr(first_motion, "_loss", lambda task, *_: of[task.held])
+    task = task_of(past=None)
+    assert choose(task, explore(task, seed=100))[0].held == held
 
 
 def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:

@@ -23,6 +23,9 @@ FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # what models that count as alike may lose: a share of the least, and nats for each observed entry,
 # those of an error of a quarter of the observation noise
 ALIKE, SMALL = 1.25, 0.03
+# nats for each entry that a good model loses at most. Where the best one loses more, the motion was
+# too short to learn from, and short steps leave the next models the most data
+GOOD = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +81,9 @@ def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]
 
     Models are compared by :func:`~torch_pmil.model.held_out.held_out_loss` over one span of time.
     The step is the longest of those that predict alike: its predictions take the least time, and
-    pass through the fewest steps. Then the past is the first of those that predict alike at this
-    step, which has the least of it. A motion that was cut short too early to be judged decides
-    nothing.
+    pass through the fewest steps. If even the best model is bad, it is the shortest of them. Then
+    the past is the first of those that predict alike at this step, which has the least of it. A
+    motion that was cut short too early to be judged decides nothing.
 
     Args:
         task: with ``samplings``.
@@ -106,7 +109,8 @@ def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]
 
     first = samplings[0]
     steps = alike(replace(first, held=held) for held in sorted({each.held for each in samplings}))
-    return alike(each for each in samplings if each.held == steps[-1].held)[0], tried
+    held = steps[-1 if min(tried.values()) <= GOOD else 0].held
+    return alike(each for each in samplings if each.held == held)[0], tried
 
 
 def _loss(task: Task, motion: FirstMotion, every: int) -> float:

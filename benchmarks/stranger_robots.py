@@ -112,7 +112,7 @@ class StrangerEnv(gymnasium.Env):
         return clean + np.array(self.stranger.noise) * self.np_random.standard_normal(len(clean))
 
 
-def _joint(inertia: float, weight: float, friction: float, static: float = 0.0) -> Derivative:
+def joint(inertia: float, weight: float, friction: float, static: float = 0.0) -> Derivative:
     def derivative(x: Array, u: Array) -> Sequence[float]:
         q, dq = x[:2]
         drag = friction * dq + static * np.tanh(dq / 0.02)
@@ -121,7 +121,7 @@ def _joint(inertia: float, weight: float, friction: float, static: float = 0.0) 
     return derivative
 
 
-def _mass(mass: float, drag: float, unit: float = 1.0) -> Derivative:
+def mass(mass: float, drag: float, unit: float = 1.0) -> Derivative:
     return lambda x, u: (x[1], unit * u[0] / mass - drag / mass * x[1])
 
 
@@ -198,16 +198,16 @@ def _lagging_rail(x: Array, u: Array) -> Sequence[float]:
 
 ANGLE, JOINT = {"angles": ("q",)}, ("q", "dq")
 STRANGERS = {
-    "rail": Stranger(("x", "dx"), _mass(2, 1), 0.05, 2.0, (8.0,), (0, 0), (0.01,) * 2, {"x": 0.5}),
+    "rail": Stranger(("x", "dx"), mass(2, 1), 0.05, 2.0, (8.0,), (0, 0), (0.01,) * 2, {"x": 0.5}),
     "rail_mm": Stranger(
-        *(("x", "dx"), _mass(2, 1, 1000), 0.05, 2.0, (8.0,), (0, 0), (10, 10), {"x": 500.0}),
+        *(("x", "dx"), mass(2, 1, 1000), 0.05, 2.0, (8.0,), (0, 0), (10, 10), {"x": 500.0}),
         noise=(2.0, 10.0),
     ),
     "rubbing_joint": Stranger(
-        *(JOINT, _joint(0.4, 2, 0.2, 0.8), 0.05, 2.5, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.2}),
+        *(JOINT, joint(0.4, 2, 0.2, 0.8), 0.05, 2.5, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.2}),
     ),
     "late_joint": Stranger(
-        *(JOINT, _joint(0.5, 3, 0.4), 0.05, 3.0, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.0}),
+        *(JOINT, joint(0.5, 3, 0.4), 0.05, 3.0, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.0}),
         noise=(0.01, 0.05),
         delay=2,
     ),
@@ -242,15 +242,15 @@ STRANGERS = {
     ),
     # looked at only at the end
     "half_turn": Stranger(
-        *(JOINT, _joint(0.3, 2, 0.2), 0.05, 3.0, (5.0,), (0, 0), (0.05, 0.05), {"q": 3.1416}),
+        *(JOINT, joint(0.3, 2, 0.2), 0.05, 3.0, (5.0,), (0, 0), (0.05, 0.05), {"q": 3.1416}),
         said=ANGLE,
     ),
     "fast_joint": Stranger(
-        *(JOINT, _joint(0.05, 0.5, 0.05), 0.01, 1.0, (2.0,), (0, 0), (0.03, 0.1), {"q": 1.0}),
+        *(JOINT, joint(0.05, 0.5, 0.05), 0.01, 1.0, (2.0,), (0, 0), (0.03, 0.1), {"q": 1.0}),
         noise=(0.002, 0.05),
     ),
     "slow_reach": Stranger(
-        *(JOINT, _joint(0.8, 3, 0.8), 0.1, 12.0, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.2}),
+        *(JOINT, joint(0.8, 3, 0.8), 0.1, 12.0, (6.0,), (0, 0), (0.03, 0.03), {"q": 1.2}),
         noise=(0.005, 0.02),
     ),
     "spring": Stranger(

@@ -139,6 +139,16 @@ def test_limits_name_what_may_be_meant() -> None:
         task(Slider(bound=0.1), reaches(), units=("s", ""))
 
 
+@pytest.mark.parametrize(("bound", "count"), [(0.3, 1), (0.53, 0), (math.pi, 0)])
+def test_recordings_beyond_the_limits_are_doubted_unless_these_are_a_turn(
+    bound: float, count: int, recwarn: pytest.WarningsRecorder
+) -> None:
+    """The largest recorded value is 0.54 m, of pi 1.08 rad beyond."""
+    task(Slider(bound=bound), reaches(7.0 if bound == math.pi else 1.0))
+    said = [str(each.message) for each in recwarn if "out of reach" in str(each.message)]
+    assert len(said) == count, said
+
+
 def test_entry_of_unknown_size_is_named() -> None:
     robot = Slider()
     reset = robot.reset
@@ -176,7 +186,7 @@ def test_motion_far_beyond_that_of_the_robot_is_doubted(
         (Slider, reaches(rate=1.0)),
         (lambda: Slider(start=1.0), reaches(start=1.0)),
         (lambda: Slider(start=1.0), reaches(start=2.0)),
-        (lambda: Slider(bound=0.3), reaches()),
+        (lambda: Slider(bound=0.6), reaches()),
         (lambda: Slider(1e3, 1.0), reaches(1e3, 1.0)),
         (Slider, reaches(1e-3)),
         (Slider, reaches(5.0)),

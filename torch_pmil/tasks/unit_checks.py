@@ -23,6 +23,7 @@ THOUSANDTHS = {1e3: "thousandths of its unit", 1e6: "millionths of its unit"}
 ALIKE = 0.05  # relative difference of two numbers that count as equal
 ROUGHLY = 7.0  # the same of a ratio that says little more than the order of magnitude
 FAR = 10.0  # standard deviations from 0 of a start whose unit shows
+OUTSIDE = 0.05  # of the recorded range, by which noise may exceed limits
 BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
 SMALL = 50.0  # by which a motion is smaller than the limits allow, at most
 MOVED = 20.0  # times the motion of a robot that was tried: a larger motion is doubted
@@ -43,7 +44,8 @@ def check_units(
         starts: values of each entry in the robot's starts, (S,).
         limits: lowest and highest value of each entry, infinite if unknown.
 
-    Warns of an entry that begins at a known multiple of the robot's start.
+    Warns of an entry that begins at a known multiple of the robot's start, and of one that goes
+    beyond its limits, unless these are a turn.
 
     Raises:
         DemonstrationError: an entry goes far beyond its limits, or is a known multiple of the
@@ -122,21 +124,29 @@ def check_motion(
 
 def _check_limits(name: str, values: Tensor, limits: tuple[float, float], unit: str) -> None:
     low, high = values.min().item(), values.max().item()
+    where = (
+        f"recorded from {low:.3g} to {high:.3g}, where the robot moves within {limits[0]:.3g} to "
+        f"{limits[1]:.3g} {unit}"
+    ).rstrip()
     largest, allowed = max(abs(low), abs(high)), max(map(abs, limits))
-    if not 0 < BEYOND * allowed < largest:
-        return
+    if 0 < BEYOND * allowed < largest:
+        what = _other_unit(largest, allowed, unit)
+        raise DemonstrationError(f"{name} {what}, or is out of reach: {where}; convert it")
+    width, noise = limits[1] - limits[0], OUTSIDE * (high - low)
+    one_turn = math.isclose(width, 2 * math.pi, rel_tol=ALIKE)  # of an angle that may go on
+    if not (one_turn or limits[0] - noise <= low <= high <= limits[1] + noise):
+        warnings.warn(f"{name} is out of reach: {where}", UserWarning, stacklevel=6)
+
+
+def _other_unit(largest: float, allowed: float, unit: str) -> str:
+    """What an entry looks like whose largest value is beyond what a robot allows."""
     least = allowed / SMALL
     known = [
         {times: what for times, what in factors.items() if least <= largest / times <= allowed}
         for factors in (FACTORS.get(unit, {}), THOUSANDTHS)
     ]
     fits = " or ".join((known[0] or known[1]).values())
-    what = f"looks like {fits}" if fits else "is in another unit"
-    raise DemonstrationError(
-        f"{name} {what}, or is out of reach: recorded from {low:.3g} to {high:.3g}, where the "
-        f"robot moves within {limits[0]:.3g} to {limits[1]:.3g} {unit}".rstrip()
-        + "; convert the recordings"
-    )
+    return f"looks like {fits}" if fits else "is in another unit"
 
 
 def _check_starts(name: str, first: Tensor, starts: Tensor, unit: str) -> None:

@@ -1,4 +1,4 @@
-"""Twenty ways in which learning fails, and whether the first reason that a run names is the right one.
+"""Twenty ways in which learning fails, and whether what a run names first is the right reason.
 
 Each failure is made on purpose: a robot, its recordings, and what a person says to
 :class:`~torch_pmil.PMIL`. What is said first counts: the error or warning before the run, else the
@@ -56,7 +56,7 @@ class Failure:
     robot: Stranger
     right: str
     shown: Stranger | None = None
-    change: Change = staticmethod(list)
+    change: Change = list
     seconds: float = 1.0
     env: Callable[[Stranger], Any] = StrangerEnv
     said: dict[str, Any] = field(default_factory=dict)
@@ -131,7 +131,8 @@ def _lost_point(values: list[np.ndarray]) -> list[np.ndarray]:
     return values
 
 
-def _joint_of(derivative: Derivative = joint(0.5, 3, 0.4), **changes: Any) -> Stranger:
+def _joint_of(derivative: Derivative | None = None, **changes: Any) -> Stranger:
+    derivative = derivative or joint(0.5, 3, 0.4)
     usual = {"limits": (6.0,), "start": (0.0, 0.0), "spread": (0.03, 0.03), "goal": {"q": 1.0}}
     return Stranger(("q", "dq"), derivative, 0.05, 3.0, **{**usual, **changes})
 

@@ -21,8 +21,9 @@ from torch_pmil.tasks.with_history import Resting
 SPAN = 4  # over which models predict, in longest steps
 FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # what models that count as alike may lose: a share of the least, and nats for each observed entry,
-# those of an error of a quarter of the observation noise
-ALIKE, SMALL = 1.25, 0.03
+# those of an error of half the observation noise for a longer step, which saves most of the work,
+# and of a quarter for less of the past
+ALIKE, OF_STEP, OF_PAST = 1.25, 0.1, 0.03
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion was
 # too short to learn from, and short steps leave the next models the most data
 GOOD = 1.0
@@ -97,9 +98,9 @@ def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]
         return samplings[0], {}
     tried: dict[str, float] = {}
 
-    def alike(compared: Iterable[Sampling]) -> list[Sampling]:
+    def alike(compared: Iterable[Sampling], small: float) -> list[Sampling]:
         found = {sampling: loss(sampling) for sampling in compared}
-        return [each for each in found if found[each] <= ALIKE * min(found.values()) + SMALL]
+        return [each for each in found if found[each] <= ALIKE * min(found.values()) + small]
 
     def loss(sampling: Sampling) -> float:
         name = sampling.described(task.demonstrations.time_step)
@@ -108,9 +109,10 @@ def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]
         return tried[name]
 
     first = samplings[0]
-    steps = alike(replace(first, held=held) for held in sorted({each.held for each in samplings}))
+    helds = sorted({each.held for each in samplings})
+    steps = alike((replace(first, held=held) for held in helds), OF_STEP)
     held = steps[-1 if min(tried.values()) <= GOOD else 0].held
-    return alike(each for each in samplings if each.held == held)[0], tried
+    return alike((each for each in samplings if each.held == held), OF_PAST)[0], tried
 
 
 def _loss(task: Task, motion: FirstMotion, every: int) -> float:

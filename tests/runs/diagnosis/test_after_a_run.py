@@ -198,7 +198,7 @@ def test_search_is_stuck_where_the_kl_rises_or_wants_more_trials_if_it_came_furt
     assert re.search(rf"most in [xy][12] \(predicted {belief}, demonstrated {belief}\)", message)
     assert "step 5, 8, 8, 8, 8: 3 trials led them no further, so try another seed" in message
     for horizons in ((5, 5), (5, 8, 8, 8, 11)):
-        message = diagnose(task, *learned(), horizons)["search stuck"]
+        message = diagnose(task, *learned(), horizons)["too few trials"]
         assert "more trials may lead them further" in message
 
 

@@ -25,6 +25,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_jumps,
     check_length,
     check_modes,
+    check_spread,
     check_start,
 )
 from torch_pmil.runs.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
@@ -228,6 +229,18 @@ def test_starts_of_the_robot_itself_are_seldom_named(draws: Draws) -> None:
         shown = Demonstrations(positions, 0.1, ("a", "b", "c", "d"))
         alarms += bool(check_start(shown, start, noise_std))
     assert_seldom(alarms, 0.001)
+
+
+@pytest.mark.parametrize(("wide", "found"), [(2.9, 0), (3.1, 1)])
+def test_starts_that_vary_more_than_shown_are_named(wide: float, found: int) -> None:
+    """Shown are 0 and 0.08 with noise of 0.03: a standard deviation of 0.05, with the noise."""
+    shown = torch.tensor([0.0, 0.08]).double()[:, None, None].expand(-1, 3, -1)
+    var = ((wide * 0.05) ** 2 - 0.03**2) * torch.eye(1).double()
+    start = Gaussian(torch.zeros(1).double(), var)
+    findings = check_spread([Demonstrations(shown, 0.1, ("q",))], start, torch.tensor(0.03))
+    assert len(findings) == found
+    if found:
+        assert findings[0].message.startswith("the robot's starts vary by 0.155 in q, and those")
 
 
 @pytest.mark.parametrize(("step", "stays"), [(12, False), (12, True), (3, False)])

@@ -17,6 +17,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_length,
     check_modes,
     check_reach,
+    check_spread,
     check_start,
     check_stops,
     check_torques,
@@ -56,6 +57,7 @@ def check(task: Task) -> list[Finding]:
     return [
         *_check_robot(task, noise_std),
         *check_start(demonstrations, start, noise_std),
+        *check_spread(sets, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
         *check_turns(demonstrations),
         *check_modes(sets, numbers, noise_std),

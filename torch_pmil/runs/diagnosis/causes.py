@@ -242,7 +242,7 @@ def check_search(
     time_step: float,
     settings: Mapping[str, Any],
 ) -> Reason:
-    """A reason why a search is stuck at a step.
+    """A reason why a search came no further than to a step: it is stuck, or had too few trials.
 
     Args:
         step: first step that the search does not trust.
@@ -250,18 +250,19 @@ def check_search(
         mismatch: what does not match there, in words.
         horizons: step up to which the search of each trial went.
     """
-    rise, hint = "is", "more trials may lead them further"
+    rise, cause, hint = "is", "too few trials", "more trials may lead them further"
     if step > 1:
         rise = f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
     if len(horizons) > LATEST and max(horizons[-LATEST:]) <= max(horizons[:-LATEST]):
-        hint = (
+        cause, hint = (
+            "search stuck",
             f"{LATEST} trials led them no further, so try another seed, more iterations "
             f"({scaled(settings, 'search.stage_iterations', 2)}), a larger threshold "
             f"({scaled(settings, 'search.trust_threshold', 2)}), or more tolerance "
-            f"({scaled(settings, 'noise_std', 2)})"
+            f"({scaled(settings, 'noise_std', 2)})",
         )
     return Reason(
-        "search stuck",
+        cause,
         f"the {name} of a step {rise} {step_loss[step - 1]:.3g} {unit} at "
         f"{step * time_step:.2f} s (step {step} of {len(step_loss)}), {mismatch}; the last "
         f"searches went up to step {', '.join(map(str, horizons[-LATEST - 2 :]))}: {hint}",

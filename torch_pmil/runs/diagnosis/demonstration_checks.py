@@ -25,6 +25,7 @@ LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
 START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
 # largest difference of two that are one, in standard deviations of the observation noise
 SAME = 0.01
+WIDER = 3.0  # standard deviation of a start over that of what is shown there
 LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
 LONE_JUMP = 3.0  # second difference of a jump, over the largest one of other demonstrations
 NEARBY = 2  # samples before and after, in which the others are compared
@@ -157,6 +158,25 @@ def check_start(
         )
         findings.append(Finding("demonstrations start elsewhere", message))
     return findings
+
+
+def check_spread(
+    sets: Sequence[Demonstrations], start: Gaussian, noise_std: Tensor
+) -> list[Finding]:
+    """Find entries whose start varies more than demonstrations do, with the noise of both."""
+    shown = torch.cat([each.positions[:, 0] for each in sets])
+    spread = start.add_noise(noise_std**2).std
+    narrow = (shown.var(0, correction=0) + noise_std**2).sqrt()
+    entry = int((spread / narrow).argmax())
+    if spread[entry] <= WIDER * narrow[entry]:
+        return []
+    message = (
+        f"the robot's starts vary by {spread[entry]:.3g} in {sets[0].names[entry]}, and those of "
+        f"demonstrations by {narrow[entry]:.3g}: no policy matches these from there. If readings "
+        "are noisy, filter them or hold actions longer; if the robot starts so, show such starts; "
+        "or allow more (noise_std)"
+    )
+    return [Finding("starts vary more than demonstrations", message)]
 
 
 def check_jumps(

@@ -27,7 +27,7 @@ FEWEST_STEPS = 20  # for which a share is computed
 RARE = 0.05  # probability below which failures are not due to chance
 # nats by which the past explains a motion better; learned: up to 94, by hidden motors
 # (benchmarks/past_evidence.py)
-EVIDENCE = 150.0
+EVIDENCE = 100.0
 
 
 def saturated_fraction(actions: Tensor, space: ActionSpace) -> Tensor:

@@ -186,10 +186,19 @@ def test_robot_is_tried_within_its_first_motion_and_its_box(past: dict) -> None:
     task = own_robot(robot, shown, 0.05, state=STATE, **said)
     assert sent == []
     rehearse(task)
-    assert len(sent) == 100 and max(sent) <= 0.1 * float(robot.action_space.high.max())
+    assert len(sent) == 150 and max(sent) <= 0.1 * float(robot.action_space.high.max())
     sent.clear()
     rehearse(own_robot(robot, shown, 0.05, state=STATE, box={"q1": (-0.3, 0.3)}, **past))
-    assert len(sent) < 100
+    assert len(sent) < 150
+
+
+@pytest.mark.parametrize("past", [{}, {"past_actions": 1}])
+def test_robot_that_no_action_moves_is_named(past: dict) -> None:
+    robot = TwoJoints(noise=0.0)
+    step = robot.step
+    robot.step = lambda action: step(0 * action)
+    with pytest.warns(RuntimeWarning, match="actions of 40% of their range do not change how"):
+        made(robot, **past)
 
 
 def test_hidden_velocities_are_not_compared() -> None:

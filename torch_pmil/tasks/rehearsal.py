@@ -34,6 +34,8 @@ CLEAR = 5.0  # change of a position in standard deviations of its noise
 def rehearse(task: Task) -> None:
     """Try one's own simulated robot with slow actions, twice from one seed. This is no experience.
 
+    Warns if the actions change nothing, or if the robot moves far less than the recordings show.
+
     The actions are at most as large as those of the first motion, and ``box`` ends the motion. A
     robot that is not measured from fresh starts, such as a physical one, is not moved.
 
@@ -60,19 +62,39 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
         _check_steps(robot, steps, calls["reset"])
     else:
         states = _tried(task, actions)
-    again = _tried(task, actions)[: len(states)]
-    states = states[: len(again)]
-    scale = states.abs().amax(0)
-    scale = torch.where(scale > 0, scale, 1.0)
-    apart = ((again - states) / scale).abs()
-    if (apart > ALIKE).any():
+    again = _tried(task, actions)
+    if not _alike(states, again):
         _check_drift(task, robot, actions[:SHORT])
+    elif _do_nothing(task, actions, states):
+        warnings.warn(
+            f"actions of {_reach(task):.0%} of their range do not change how the robot moves: see "
+            "that its motors are on, and strong enough to overcome friction",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+        return
+    states = states[: len(again)]
     if len(states) <= WINDOW + 1:
         return
     for doubt in check_motion(*_ranges(task, states)):
         warnings.warn(doubt, RuntimeWarning, stacklevel=4)
     hidden = task.history.hidden if task.history else ()
     check_velocities(states, task.space, task.demonstrations.time_step, hidden)
+
+
+def _do_nothing(task: Task, actions: Tensor, states: Tensor) -> bool:
+    """Whether the robot moves along the same states (T + 1, D) by no actions as by these."""
+    idle, history = _tried(task, task.actions.middle.expand_as(actions)), task.history
+    measured = task.space.dim if history is None else len(history.names)
+    return _alike(states[:, :measured], idle[:, :measured])
+
+
+def _alike(first: Tensor, second: Tensor) -> bool:
+    """Whether two motions (T + 1, D) are the same as far as both go."""
+    count = min(len(first), len(second))
+    scale = first[:count].abs().amax(0)
+    apart = (first[:count] - second[:count]).abs() / torch.where(scale > 0, scale, 1.0)
+    return bool((apart <= ALIKE).all())
 
 
 def check_velocities(

@@ -3,7 +3,7 @@
 The robots are those of :mod:`benchmarks.stranger_robots`, or of a file given by ``--robots`` that
 has a dictionary ``STRANGERS``: by name, a gymnasium environment, the file of its recordings, and
 what a person would say to :class:`~torch_pmil.PMIL`. A run that is finished, of the same sources,
-is not made again.
+is not made again, and one that was stopped goes on.
 
 Example:
     python -m benchmarks.strangers --seeds 100-102 --json strangers.json
@@ -35,6 +35,7 @@ from torch_pmil.tasks.registry import module_of
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
+CHANGED = "-dirty"  # end of the name of sources that nothing tells apart
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
 VARIATIONS: dict[str, dict[str, Any]] = {
@@ -104,8 +105,9 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     if "step" in changes:
         changes["step"] = said["control_period"]
     learner = PMIL(robot, recordings, **{**said, **changes})
-    out = OUT / _label(name, variation) / f"seed_{seed}"
-    learner.learn(seed=seed, out=out, overwrite=True)
+    commit = str(provenance("")["commit"])
+    out = OUT / commit / _label(name, variation) / f"seed_{seed}"
+    learner.learn(seed=seed, out=out, resume=not commit.endswith(CHANGED))
     summary = learner.result.summary
     return {
         "robot": name,
@@ -126,7 +128,7 @@ def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> 
     """The row of a run in a process of its own, unless there is one of the same sources."""
     commit = provenance("")["commit"]
     kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
-    known = kept.exists() and not str(commit).endswith("-dirty")  # sources that can be told apart
+    known = kept.exists() and not str(commit).endswith(CHANGED)
     if known and (row := json.loads(kept.read_text()))["commit"] == commit:
         return row
     given = ["--robots", str(path)] if path else []

@@ -52,6 +52,9 @@ SUMMARY = OLD | {
     "saved_n_eval": 20,
     "two_sigma_coverage": 0.9,
     "two_sigma_coverage_by_entry": {"q1": 0.9},
+    "units": {"demonstrations": {"q1": "rad"}},
+    "rms_error": {"q1": 0.03},
+    "demonstration_spread": {"q1": 0.02},
     "diagnosis": [{"cause": "search stuck", "message": "predicted 0.14 ± 0.06 m"}],
 }
 Script = Callable[..., None]
@@ -98,9 +101,8 @@ def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
     short = short_experiment(6, name="double_pendulum_pilco")
     replace_task(monkeypatch, short, "double_pendulum_pilco")
     script("experiment=double_pendulum_pilco", "trials=1", "seed=2", "logger=null")
-    assert re.search(
-        r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out
-    )
+    line = r"trial  1:   0.6 s of experience \(\d+ transitions\), cost +\d\.\d, own rollout"
+    assert re.search(line, capsys.readouterr().out)
     run = Path("runs/double_pendulum_pilco/seed_2")
     assert {path.name for path in (run / "figures").iterdir()} == {
         f"{name}.png" for name in FIGURES - {"kl_per_step"}

@@ -53,10 +53,11 @@ def print_trial(label: str, task: Task, trial: Trial) -> None:
     objective = task.objective
     loss = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
     known = ", ".join(success_rates(trial, task.promised))
+    transitions = round(trial.experience_s / task.demonstrations.time_step)
     say(
         label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {loss}, own rollout "
-        f"{own_end(trial)}{known and ', success '}{known}",
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience ({transitions} "
+        f"transitions), {loss}, own rollout {own_end(trial)}{known and ', success '}{known}",
     )
 
 
@@ -100,6 +101,20 @@ def of_success(summary: dict) -> str:
     return f"success rate {rate:.0%} of {count} fresh starts"
 
 
+def of_errors(summary: dict) -> str:
+    """How far the rollouts of the saved policy are from the demonstrated mean in the worst entry.
+
+    That is the one with the largest error relative to the demonstrations' spread.
+    """
+    errors, spread = summary["rms_error"], summary["demonstration_spread"]
+    worst = max(errors, key=lambda name: errors[name] / (spread[name] or 1.0))
+    unit = summary["units"]["demonstrations"][worst]
+    numbers = (f"{number:.2g} {unit}".rstrip() for number in (errors[worst], spread[worst]))
+    return "{} is {} off the demonstrated mean, where demonstrations are {} off it".format(
+        worst, *numbers
+    )
+
+
 def print_result(label: str, summary: dict) -> None:
     """Print the result of a run."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
@@ -108,6 +123,7 @@ def print_result(label: str, summary: dict) -> None:
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
         *([summary["unmet"]] if "unmet" in summary else []),
+        of_errors(summary),
         of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
     ]

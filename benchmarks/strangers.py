@@ -107,7 +107,8 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     learner = PMIL(robot, recordings, **{**said, **changes})
     commit = str(provenance("")["commit"])
     out = OUT / commit / _label(name, variation) / f"seed_{seed}"
-    learner.learn(seed=seed, out=out, resume=not commit.endswith(CHANGED))
+    changed = commit.endswith(CHANGED)
+    learner.learn(seed=seed, out=out, resume=not changed, overwrite=changed)
     summary = learner.result.summary
     return {
         "robot": name,

@@ -378,6 +378,8 @@ def test_help_says_every_setting_with_its_value_and_what_it_means(
     words |= set(re.findall(r"^      ([a-z_.]+): ", others, re.MULTILINE))
     assert words == {*settings.SETTINGS}
     assert {"  noise_std=0.1", "  num_centres=80", "  out=runs/biorob/seed_0"} < {*lines}
+    for name, shipped in EXPERIMENTS.items():
+        assert any(re.fullmatch(f"  {name} +{re.escape(shipped.sentence)}", each) for each in lines)
 
 
 def test_help_of_a_setting_that_is_wrong_is_its_line(script: Script) -> None:

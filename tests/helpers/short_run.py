@@ -82,7 +82,7 @@ def quick_fits(patch: pytest.MonkeyPatch) -> None:
 
 def replace_task(patch: pytest.MonkeyPatch, task: Task, name: str = "double_pendulum") -> None:
     """Let a name stand for another task, whatever the demonstrations."""
-    module = f"torch_pmil.tasks.{EXPERIMENTS[name]}"
+    module = f"torch_pmil.tasks.{EXPERIMENTS[name].module}"
     patch.setattr(f"{module}.{name}", lambda demonstrations=None: task)
 
 

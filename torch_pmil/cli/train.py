@@ -55,14 +55,18 @@ from torch_pmil.runs.settings import (
 from torch_pmil.runs.summaries import is_finished
 from torch_pmil.runs.sweep import register_launchers
 from torch_pmil.runs.training import RunResult, train
-from torch_pmil.tasks.registry import demonstrations_from, load_experiment
+from torch_pmil.tasks.registry import EXPERIMENTS, demonstrations_from, load_experiment
 from torch_pmil.tasks.task import Task
 
 CONFIG = Path(__file__).parent / "config"
 HELP = """\
 usage: pmil train [settings=FILE] [NAME=VALUE ...]
 
-Learn an experiment from its demonstrations. The settings, as they would be now:
+Learn an experiment from its demonstrations. The experiments:
+
+{}
+
+The settings, as they would be now:
 
 {}
 
@@ -100,7 +104,9 @@ def help_of(overrides: list[str]) -> str:
         settings = settings_of(hydra.compose("train", overrides))
     values = settings.adjustable | task_of(settings).adjustable
     words = {name: word_of(name, value) for name, value in values.items()}
-    return HELP.format("\n".join(help_lines(words)))
+    wide = max(map(len, EXPERIMENTS))
+    known = (f"  {name:{wide}}  {shipped.sentence}" for name, shipped in EXPERIMENTS.items())
+    return HELP.format("\n".join(known), "\n".join(help_lines(words)))
 
 
 @contextmanager

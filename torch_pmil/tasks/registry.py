@@ -9,27 +9,44 @@ from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch_pmil.demonstrations import Demonstrations, Recordings, load_demonstrations
 from torch_pmil.files import short
 from torch_pmil.tasks.strokes import lasa_strokes
 from torch_pmil.tasks.task import Task
 
-EXPERIMENTS = {  # by name, the module of torch_pmil.tasks that has a function of that name
-    "acrobot": "one_motor",
-    "biorob": "biorob",
-    "biorob_targets": "biorob_targets",
-    "cart_pole": "cart_pole",
-    "double_pendulum": "double_pendulum",
-    "double_pendulum_pilco": "pilco",
-    "double_pendulum_servo": "double_pendulum_servo",
-    "double_pendulum_targets": "double_pendulum_targets",
-    "gym_pendulum": "gym_pendulum",
-    "handwriting": "handwriting",
-    "handwriting_biorob": "handwriting",
-    "inverted_pendulum": "inverted_pendulum",
-    "pendubot": "one_motor",
+
+class Shipped(NamedTuple):
+    """A task of the package: the module of torch_pmil.tasks whose function it is, and what it is.
+
+    The sentence says what the robot learns.
+    """
+
+    module: str
+    sentence: str
+
+
+EXPERIMENTS = {
+    name: Shipped(*about)
+    for name, about in {
+        "acrobot": ("one_motor", "Swing two links up with a motor in the elbow alone."),
+        "biorob": ("biorob", "A compliant arm hits a ball, as it was guided by hand."),
+        "biorob_targets": ("biorob_targets", "One policy of that arm hits balls in a plane."),
+        "cart_pole": ("cart_pole", "Swing a pole up and balance it by pushing its cart."),
+        "double_pendulum": ("double_pendulum", "Swing two links up by torques, and balance them."),
+        "double_pendulum_pilco": ("pilco", "The same by PILCO's cost, without demonstrations."),
+        "double_pendulum_servo": ("double_pendulum_servo", "The same by angles for two servos."),
+        "double_pendulum_targets": (
+            "double_pendulum_targets",
+            "One policy moves the tip to places and holds it there.",
+        ),
+        "gym_pendulum": ("gym_pendulum", "Swing up Pendulum-v1, too weak to lift, and hold it."),
+        "handwriting": ("handwriting", "The tip of a pendulum writes what a person wrote."),
+        "handwriting_biorob": ("handwriting", "The racket of the compliant arm writes it."),
+        "inverted_pendulum": ("inverted_pendulum", "Bring InvertedPendulum-v5 to rest."),
+        "pendubot": ("one_motor", "Swing two links up with a motor in the shoulder alone."),
+    }.items()
 }
 LASA = "lasa:"  # begins a source of demonstrations: a shape of the LASA handwriting set
 
@@ -98,7 +115,7 @@ def run_name(experiment: object, demonstrations: object) -> str:
 def _maker(name: object) -> Callable[..., Any]:
     """The function that makes a task."""
     if isinstance(name, str) and name in EXPERIMENTS:
-        return getattr(import_module(f"torch_pmil.tasks.{EXPERIMENTS[name]}"), name)
+        return getattr(import_module(f"torch_pmil.tasks.{EXPERIMENTS[name].module}"), name)
     if not isinstance(name, str) or not is_own(name):
         raise ValueError(
             f"experiment must be one of {', '.join(EXPERIMENTS)}, or FILE.py:FUNCTION or "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -26,7 +25,6 @@ from torch_pmil.files import write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import clear_folder, provenance, write_metrics
 from torch_pmil.seeds import Stream, generator_of
-from torch_pmil.tasks.double_pendulum import states_from_positions
 from torch_pmil.tasks.method import RandomMotion
 from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.ending import LIMIT
@@ -57,10 +55,8 @@ def joint_trajectories(experiment: Task) -> Tensor:
 
     Each has the turns that begin nearest to the robot's start.
     """
-    demonstrations = experiment.demonstrations
-    angles = states_from_positions(demonstrations.positions, demonstrations.time_step)[..., 0::2]
-    turns = (experiment.initial.mean[0::2] - angles[:, :1]) / (2 * math.pi)
-    return angles + 2 * math.pi * turns.round()
+    count = len(experiment.demonstrations.positions)
+    return experiment.demonstrated_states.unflatten(0, (count, -1))[..., 0::2]
 
 
 def run_dmp(

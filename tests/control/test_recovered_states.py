@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch.testing import assert_close
 
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.demonstrations import shipped_demonstrations
-from torch_pmil.tasks.double_pendulum import double_pendulum_space, states_from_positions
+from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 NAMES = ("q1", "dq1", "q2", "dq2")
 
@@ -16,7 +17,11 @@ NAMES = ("q1", "dq1", "q2", "dq2")
 def test_states_of_link_positions_are_those_of_the_arctangents() -> None:
     shown = shipped_demonstrations("double_pendulum")
     space = double_pendulum_space()
-    expected = states_from_positions(shown.positions, shown.time_step)
+    x1, y1, x2, y2 = shown.positions.unbind(-1)
+    first, both = torch.atan2(x1, y1), torch.atan2(x2 - x1, y2 - y1)
+    q1, both = (torch.from_numpy(np.unwrap(each.numpy())) for each in (first, both))
+    dq1, dq2 = (torch.gradient(q, spacing=0.1, dim=-1)[0] for q in (q1, both - q1))
+    expected = torch.stack([q1, dq1, both - q1, dq2], -1)
     found = recover_states(
         space.match_space, shown.positions, shown.time_step, expected[:, 0].mean(0), rates_of(NAMES)
     )

@@ -16,7 +16,6 @@ from reproduction import masses
 from reproduction.masses import SECOND_LINKS, SEEDS, TRIALS, needed_runs, results, with_second_link
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.rollouts import rollout_of
-from torch_pmil.tasks.double_pendulum import states_from_positions
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -28,8 +27,7 @@ def mass_of(robot: Task) -> float:
 
 def shipped_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
     """The shipped demonstrations for each seed, as if no torque had been applied."""
-    shipped = shipped_demonstrations("double_pendulum")
-    states = states_from_positions(shipped.positions, shipped.time_step)
+    states = load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, -1))
     for _ in seeds:
         yield states, torch.zeros(5, 25, 2, dtype=torch.float64)
 

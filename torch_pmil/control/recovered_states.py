@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -89,20 +90,40 @@ def _solved(
     match_space: MatchSpace, observed: Tensor, start: Tensor, shown: Tensor, changes: Tensor
 ) -> Tensor:
     """States (T + 1, D) that show one trajectory (T + 1, M); the last two are :func:`_sizes`."""
-    state, states = start, []
+    states = []
+    before = start
     for sample in observed:
-
-        def residual(
-            change: np.ndarray, sample: Tensor = sample, before: Tensor = state
-        ) -> np.ndarray:
-            apart = match_space(before + changes * torch.from_numpy(change)) - sample
-            return np.concatenate([(apart / shown).numpy(), STAYING * change])
-
         # the unknown is the change, which begins at zero: steps of the search are relative
-        found = least_squares(residual, np.zeros(len(state))).x
-        state = state + changes * torch.from_numpy(found)
-        states.append(state)
+        seen = partial(_residual, match_space, sample, before, shown, changes)
+        slopes = partial(_slopes, match_space, before, shown, changes)
+        found = least_squares(seen, np.zeros(len(start)), slopes, method="lm").x
+        before = before + changes * torch.from_numpy(found)
+        states.append(before)
     return torch.stack(states)
+
+
+def _residual(
+    match_space: MatchSpace,
+    sample: Tensor,
+    before: Tensor,
+    shown: Tensor,
+    changes: Tensor,
+    change: np.ndarray,
+) -> np.ndarray:
+    """How far a changed state is from what was observed (M,), and how much it changed (D,)."""
+    apart = match_space(before + changes * torch.from_numpy(change)) - sample
+    return np.concatenate([(apart / shown).numpy(), STAYING * change])
+
+
+def _slopes(
+    match_space: MatchSpace, before: Tensor, shown: Tensor, changes: Tensor, change: np.ndarray
+) -> np.ndarray:
+    """Derivatives (M + D, D) of :func:`_residual` by the change."""
+    of_angles, D = match_space.angles.double(), len(change)
+    plain, sines, cosines = match_space.weights.double().tensor_split([D, D + len(of_angles)], -1)
+    turned = of_angles @ (before + changes * torch.from_numpy(change))
+    slopes = plain + (sines * turned.cos() - cosines * turned.sin()) @ of_angles
+    return np.concatenate([(slopes * changes / shown[:, None]).numpy(), STAYING * np.eye(D)])
 
 
 def _sizes(match_space: MatchSpace, observed: Tensor) -> tuple[Tensor, Tensor]:

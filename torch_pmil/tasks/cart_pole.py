@@ -9,7 +9,6 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.cart_pole import POLE_LENGTH, CartPoleEnv
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import unwrapped
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.inverted_pendulum import cart_and_tip
 from torch_pmil.tasks.method import with_least_widths
@@ -31,14 +30,6 @@ def cart_pole_space() -> StateSpace:
     """
     names, units = ("x", "dx", "q", "dq"), ("m", "m/s", "rad", "rad/s")
     return StateSpace(names, units, (2,), cart_and_tip(names, POLE_LENGTH))
-
-
-def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
-    x, x_tip, z_tip = positions.unbind(-1)
-    q = unwrapped(torch.atan2(x_tip - x, z_tip))
-    dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
-    return torch.stack([x, dx, q, dq], -1)
 
 
 def distance_from_goal(states: Tensor, goal: Tensor) -> Tensor:
@@ -73,7 +64,7 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     env, space = CartPoleEnv(), cart_pole_space()
-    parts = simulated_parts("cart_pole", env, space, demonstrations, states_from_positions)
+    parts = simulated_parts("cart_pole", env, space, demonstrations)
     goal = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
     return Task(
         **parts,

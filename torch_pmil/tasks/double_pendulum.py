@@ -57,28 +57,6 @@ def joints_at(states: Tensor) -> Tensor:
     return joints_of(double_pendulum_space().observe(states))
 
 
-def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) of link positions (..., T, 4), velocities by central differences."""
-    x1, y1, x2, y2 = positions.unbind(-1)
-    q1 = unwrapped(torch.atan2(x1, y1))
-    q2 = unwrapped(torch.atan2(x2 - x1, y2 - y1)) - q1
-    dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
-    return torch.stack([q1, dq1, q2, dq2], -1)
-
-
-def unwrapped(angles: Tensor) -> Tensor:
-    """Angles (..., T), rad, without jumps of whole turns, from the first one on.
-
-    Example:
-        >>> unwrapped(torch.tensor([3.0, -3.0], dtype=torch.float64))
-        tensor([3.0000, 3.2832], dtype=torch.float64)
-    """
-    step = angles.diff(dim=-1)
-    step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
-    first = angles[..., :1]
-    return first + torch.cat([torch.zeros_like(first), step.cumsum(-1)], -1)
-
-
 def distance_from_upright(states: Tensor) -> Tensor:
     """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s, (*batch).
 
@@ -113,7 +91,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     env, space = DoublePendulumEnv(), double_pendulum_space()
-    parts = simulated_parts("double_pendulum", env, space, demonstrations, states_from_positions)
+    parts = simulated_parts("double_pendulum", env, space, demonstrations)
     return Task(
         **parts,
         make_env=DoublePendulumEnv,

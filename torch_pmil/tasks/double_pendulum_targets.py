@@ -14,7 +14,6 @@ from torch_pmil.tasks.double_pendulum import (
     distance_from_target,
     double_pendulum_space,
     joints_at,
-    states_from_positions,
 )
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method
@@ -36,8 +35,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
             None for the package's own. Others raise :class:`DemonstrationError`.
     """
     env, space = DoublePendulumEnv(), double_pendulum_space()
-    states, targets = states_from_positions, ("x", "y")
-    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, states, targets)
+    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, ("x", "y"))
     return TargetTask(
         **parts,
         make_env=DoublePendulumEnv,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,12 +9,15 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
+
+_SHIPPED: dict[str, Tensor] = {}  # states of the package's demonstrations, recovered once a process
 
 
 def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
@@ -67,8 +69,8 @@ def simulated_parts(
     env: MujocoRobotEnv | AdaptedEnv,
     space: StateSpace,
     demonstrations: Demonstrations | None,
-    states_of: Callable[[Tensor, float], Tensor] = lambda positions, _: positions,
     target_names: tuple[str, ...] = (),
+    initial: Gaussian | None = None,
 ) -> dict[str, Any]:
     """Fields of the task of a simulated robot that follow from the robot and the demonstrations.
 
@@ -76,20 +78,27 @@ def simulated_parts(
         name: of the task, and of the demonstrations that come with the package.
         env, space: the robot and its state space.
         demonstrations: None for the package's own.
-        states_of: states (N, T + 1, D) of demonstrated positions and their time step.
         target_names: of the demonstrations' targets.
+        initial: p(x_0); None for that of the robot, if it is MuJoCo's.
 
     Raises:
         DemonstrationError: as in :func:`fitting`.
     """
     shown = fitting(demonstrations or shipped_demonstrations(name), space, env, target_names)
-    parts = {
+    if initial is None:
+        initial = independent_start(env.initial_mean, env.initial_std)
+    states = None if demonstrations else _SHIPPED.get(name)
+    if states is None:
+        period, rates = shown.time_step, rates_of(space.names)
+        of_space = space.match_space, shown.positions, period, initial.mean
+        states = recover_states(*of_space, rates).flatten(0, 1)
+    if not demonstrations:
+        _SHIPPED[name] = states
+    return {
         "name": name,
         "space": space,
         "demonstrations": shown,
-        "demonstrated_states": states_of(shown.positions, shown.time_step).flatten(0, 1),
+        "demonstrated_states": states.clone(),
         "actions": actions_of(env),
+        "initial": initial,
     }
-    if isinstance(env, MujocoRobotEnv):
-        parts["initial"] = independent_start(env.initial_mean, env.initial_std)
-    return parts

@@ -9,7 +9,6 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.gym_tasks import HANGING_MEAN, HANGING_STD, gym_pendulum_env
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import unwrapped
 from torch_pmil.tasks.fitting import independent_start, simulated_parts
 from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
@@ -32,12 +31,6 @@ def gym_pendulum_space() -> StateSpace:
     return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
 
 
-def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 2) of tip positions (..., T, 2), velocities by central differences."""
-    q = unwrapped(torch.atan2(*positions.unbind(-1)))
-    return torch.stack([q, torch.gradient(q, spacing=time_step, dim=-1)[0]], -1)
-
-
 def distance_from_upright(states: Tensor) -> Tensor:
     """Largest distance (m) of the tip from upright over the last 0.5 s, (*batch).
 
@@ -57,12 +50,11 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     env, space = gym_pendulum_env(), gym_pendulum_space()
-    start = torch.tensor([HANGING_MEAN, HANGING_STD]).double()
+    start = independent_start(*torch.tensor([HANGING_MEAN, HANGING_STD]).double())
     return Task(
-        **simulated_parts("gym_pendulum", env, space, demonstrations, states_from_positions),
+        **simulated_parts("gym_pendulum", env, space, demonstrations, initial=start),
         make_env=gym_pendulum_env,
         noise_std=NOISE_STD,
-        initial=independent_start(*start),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS, num_centres=50),

@@ -57,14 +57,6 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
     return MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole[None], positions)
 
 
-def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
-    x, x_tip, z_tip = positions.unbind(-1)
-    q = torch.atan2(x_tip - x, z_tip)
-    dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
-    return torch.stack([x, q, dx, dq], -1)
-
-
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Recover to upright as demonstrated, in 2 s at 25 Hz.
 
@@ -76,7 +68,9 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
-    parts = simulated_parts("inverted_pendulum", env, space, demonstrations, states_from_positions)
+    # mean and covariance of the uniform start
+    start = Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double())
+    parts = simulated_parts("inverted_pendulum", env, space, demonstrations, initial=start)
     tip = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
@@ -86,8 +80,6 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         **parts,
         make_env=inverted_pendulum_env,
         noise_std=NOISE_STD,
-        # mean and covariance of the uniform start
-        initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
         method=Method(

@@ -14,7 +14,7 @@ from torch_pmil.envs.pendubot import (
     tip_height,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import LEAST_WIDTHS, states_from_positions, two_link_space
+from torch_pmil.tasks.double_pendulum import LEAST_WIDTHS, two_link_space
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
@@ -65,7 +65,7 @@ def _one_motor(
 ) -> Task:
     env, space = make_env(), one_motor_space()
     return Task(
-        **simulated_parts(name, env, space, demonstrations, states_from_positions),
+        **simulated_parts(name, env, space, demonstrations),
         make_env=make_env,
         noise_std=NOISE_STD,
         error=of_states(depth_below_upright),

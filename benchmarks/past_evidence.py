@@ -1,7 +1,7 @@
 """What past states reveal about robots that act at once and robots that act late.
 
 Each robot learns; the evidence in its own rollouts is computed as in the diagnosis of a run
-(:mod:`torch_pmil.runs.diagnosis.past_evidence`). The threshold of the diagnosis was chosen with
+(:mod:`torch_pmil.model.past_evidence`). The threshold of the diagnosis was chosen with
 these seeds, so no reported result uses them.
 
 Example:
@@ -18,7 +18,7 @@ import torch
 from benchmarks.command_line import add_json, source_of
 from reproduction.delay_calibration import with_delay
 from torch_pmil.files import write_json
-from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
+from torch_pmil.runs.diagnosis.after_a_run import evidence_in
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.tasks.registry import load_experiment
 
@@ -60,14 +60,14 @@ def measure(robot: str, seed: int) -> dict[str, object]:
     trainer = make_trainer(experiment, seed, TRIALS, False, lambda trial: None)
     trainer.train()
     targets = trainer.loss_module.dynamics.targets
-    evidence = evidence_of_the_past(experiment, targets, trainer.own_rollouts())
+    evidence = evidence_in(experiment, targets, trainer.own_rollouts())
     return {
         "robot": robot,
         "seed": seed,
         "transitions": evidence.transitions,
         "success_rate": trainer.trials[-1].success_rate,
         "periods": evidence.periods,
-        "of_action": evidence.of_actions[evidence.periods],
+        "of_action": evidence.of_action,
         "of_state": evidence.of_state,
     }
 

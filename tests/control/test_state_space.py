@@ -73,6 +73,12 @@ def test_state_without_angles_is_its_own_features(draws: Draws) -> None:
     assert space.feature_names == NAMES
 
 
+def test_slopes_are_those_of_autograd(links: MatchSpace, draws: Draws) -> None:
+    states = draws.normal(3, 4)
+    expected = torch.stack([torch.autograd.functional.jacobian(links, each) for each in states])
+    assert_close(links.slopes(states), expected, atol=1e-15, rtol=1e-14)
+
+
 def test_link_positions_are_those_of_geometry(links: MatchSpace) -> None:
     right_angle = torch.tensor([torch.pi / 2, -torch.pi / 2, 3.0, -3.0], dtype=torch.float64)
     expected = torch.tensor([0.5, 0.0, 0.5, -0.5], dtype=torch.float64)

@@ -49,7 +49,7 @@ def test_motion_and_choice_are_taken_up_again(
     lines: list[str] = []
     chosen, motion = sampled(task(), 100, tmp_path, resume=False, report=lines.append)
     assert chosen.samplings == () and lines[0].startswith("steps of 0.")
-    assert set(json.loads((tmp_path / SAMPLING).read_text())["nats"]) >= {"steps of 0.1 s"}
+    assert set(json.loads((tmp_path / SAMPLING).read_text())["lost"]) >= {"steps of 0.1 s"}
     monkeypatch.setattr(first_motion, "held_out_loss", None)  # nothing is compared anew
     again, same = sampled(task(), 100, tmp_path, resume=True, report=lines.append)
     assert again.settings == chosen.settings and lines[1] == lines[0]

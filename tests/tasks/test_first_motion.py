@@ -14,7 +14,7 @@ from gymnasium.spaces import Box
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.tasks import first_motion
-from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, FirstMotion, choose, explore
+from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, Choice, FirstMotion, choose, explore
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_samplings import samplings_of
 from torch_pmil.tasks.sampling import Sampling, at_step
@@ -63,7 +63,7 @@ def task_of(robot: Joint | None = None, steps: int = 100, **said: object) -> Tas
 
 def chosen(robot: Joint, steps: int = 100, **said: object) -> Sampling:
     task = task_of(robot, steps, **said)
-    return choose(task, explore(task, seed=100))[0]
+    return choose(task, explore(task, seed=100)).sampling
 
 
 def test_robot_that_shows_all_needs_no_past() -> None:
@@ -155,7 +155,7 @@ def test_motion_that_is_too_short_decides_nothing() -> None:
     motion = explore(task, seed=100)
     few = FEWEST_SPANS * SPAN * 4 - 1
     short = FirstMotion(motion.states[: few + 1], motion.actions[:few], motion.resting)
-    assert choose(task, short) == (task.samplings[0], {})
+    assert choose(task, short) == Choice(task.samplings[0])
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_step_is_the_longest_alike_of_good_models_and_the_shortest_alike_of_bad_
     of = dict(zip((1, 2, 4), losses, strict=True))
     monkeypatch.setattr(first_motion, "_loss", lambda task, *_: of[task.held])
     task = task_of(past=None)
-    assert choose(task, explore(task, seed=100))[0].held == held
+    assert choose(task, explore(task, seed=100)).sampling.held == held
 
 
 def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:

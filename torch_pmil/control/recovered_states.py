@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 
-import numpy as np
 import torch
-from scipy.optimize import least_squares
 from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace
 
 STAYING = 3e-4  # weight of an entry's change between samples, beside what the change shows
+DAMPING = 1e-3  # of the first step
+FOUND, MOST_STEPS = 1e-10, 100  # last step of a search, in sizes of changes, and their number
 
 
 def rates_of(names: tuple[str, ...]) -> dict[int, int]:
@@ -56,8 +55,11 @@ def recover_states(
         >>> bool((found - torch.stack([q, torch.ones(41)], -1)).abs().max() < 1e-4)
         True
     """
-    sizes = _sizes(match_space, observed)
-    states = torch.stack([_solved(match_space, each, start.double(), *sizes) for each in observed])
+    sizes, before, found = _sizes(match_space, observed), start.double(), []
+    for sample in observed.unbind(1):
+        before = before + _change(match_space, sample, before.expand(len(sample), -1), *sizes)
+        found.append(before)
+    states = torch.stack(found, 1)
     shown = _shown_entries(match_space)
     for rate, position in rates.items():
         if rate not in shown:
@@ -86,44 +88,36 @@ def without_turns(states: Tensor, start: Tensor, angles: Sequence[int]) -> Tenso
     return states - 2 * math.pi * turns
 
 
-def _solved(
-    match_space: MatchSpace, observed: Tensor, start: Tensor, shown: Tensor, changes: Tensor
+def _change(
+    match_space: MatchSpace, sample: Tensor, before: Tensor, shown: Tensor, sizes: Tensor
 ) -> Tensor:
-    """States (T + 1, D) that show one trajectory (T + 1, M); the last two are :func:`_sizes`."""
-    states = []
-    before = start
-    for sample in observed:
-        # the unknown is the change, which begins at zero: steps of the search are relative
-        seen = partial(_residual, match_space, sample, before, shown, changes)
-        slopes = partial(_slopes, match_space, before, shown, changes)
-        found = least_squares(seen, np.zeros(len(start)), slopes, method="lm").x
-        before = before + changes * torch.from_numpy(found)
-        states.append(before)
-    return torch.stack(states)
+    """Changes (N, D) of states (N, D) after which they show samples (N, M); see :func:`_sizes`.
 
+    By the method of Levenberg and Marquardt, for all trajectories at once. The unknown is the
+    change in its size, which begins at zero: steps of the search are relative.
+    """
+    change, still = torch.zeros_like(before), STAYING * torch.eye(before.shape[-1]).double()
+    damping = torch.full((len(before), 1, 1), DAMPING, dtype=torch.float64)
 
-def _residual(
-    match_space: MatchSpace,
-    sample: Tensor,
-    before: Tensor,
-    shown: Tensor,
-    changes: Tensor,
-    change: np.ndarray,
-) -> np.ndarray:
-    """How far a changed state is from what was observed (M,), and how much it changed (D,)."""
-    apart = match_space(before + changes * torch.from_numpy(change)) - sample
-    return np.concatenate([(apart / shown).numpy(), STAYING * change])
+    def linearised(change: Tensor) -> tuple[Tensor, Tensor]:
+        """How far (N, M + D, 1) a state is from the sample and how much it changed; its slopes."""
+        state = before + sizes * change
+        apart = torch.cat([(match_space(state) - sample) / shown, STAYING * change], -1)
+        slopes = match_space.slopes(state) * sizes / shown[:, None]
+        return apart[..., None], torch.cat([slopes, still.expand(len(state), -1, -1)], -2)
 
-
-def _slopes(
-    match_space: MatchSpace, before: Tensor, shown: Tensor, changes: Tensor, change: np.ndarray
-) -> np.ndarray:
-    """Derivatives (M + D, D) of :func:`_residual` by the change."""
-    of_angles, D = match_space.angles.double(), len(change)
-    plain, sines, cosines = match_space.weights.double().tensor_split([D, D + len(of_angles)], -1)
-    turned = of_angles @ (before + changes * torch.from_numpy(change))
-    slopes = plain + (sines * turned.cos() - cosines * turned.sin()) @ of_angles
-    return np.concatenate([(slopes * changes / shown[:, None]).numpy(), STAYING * np.eye(D)])
+    apart, slopes = linearised(change)
+    for _ in range(MOST_STEPS):
+        curvature = slopes.mT @ slopes + damping * still / STAYING
+        step = torch.linalg.solve(curvature, -slopes.mT @ apart)
+        then, then_slopes = linearised(change + step[..., 0])
+        better = then.square().sum(-2, keepdim=True) <= apart.square().sum(-2, keepdim=True)
+        change = torch.where(better[..., 0], change + step[..., 0], change)
+        apart, slopes = torch.where(better, then, apart), torch.where(better, then_slopes, slopes)
+        damping = torch.where(better, damping / 10, damping * 10)
+        if step.abs().max() < FOUND:
+            break
+    return sizes * change
 
 
 def _sizes(match_space: MatchSpace, observed: Tensor) -> tuple[Tensor, Tensor]:

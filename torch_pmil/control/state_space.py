@@ -131,6 +131,14 @@ class MatchSpace:
         angles = states @ self.angles.to(states).mT
         return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
 
+    def slopes(self, states: Tensor) -> Tensor:
+        """Derivatives (*batch, M, D) of the observations by the states (*batch, D)."""
+        of_angles, weights = self.angles.to(states), self.weights.to(states)
+        K, D = of_angles.shape
+        plain, of_sines, of_cosines = weights.split([D, K, K], -1)
+        angles = (states @ of_angles.mT)[..., None, :]
+        return plain + (of_sines * angles.cos() - of_cosines * angles.sin()) @ of_angles
+
     def moments(self, state: Gaussian) -> Gaussian:
         """Exact mean and covariance of the observation of an uncertain state."""
         return self.augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))

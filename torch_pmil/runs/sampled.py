@@ -15,8 +15,7 @@ from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import save_tensors
-from torch_pmil.tasks.first_motion import FirstMotion, choose, explore
-from torch_pmil.tasks.sampling import Sampling
+from torch_pmil.tasks.first_motion import Choice, FirstMotion, choose, explore
 from torch_pmil.tasks.task import Task
 
 MOTION, SAMPLING = "first_motion.pt", "sampling.json"
@@ -49,32 +48,36 @@ def sampled(
     motion = _first_motion(task, seed, out, resume)
     known = out if resume else before
     if known is not None and (known / SAMPLING).exists():
-        sampling, nats = _read(task, known / SAMPLING)
+        choice = _read(task, known / SAMPLING)
     else:
-        sampling, nats = choose(task, motion)
-    write_json(own(out, SAMPLING), {**asdict(sampling), "nats": nats})
-    report(in_words(task, sampling, nats))
-    chosen = sampling.of(task)
+        choice = choose(task, motion)
+    write_json(own(out, SAMPLING), asdict(choice))
+    report(in_words(task, choice))
+    chosen = choice.sampling.of(task)
     return chosen, motion.as_rollout(chosen)
 
 
-def in_words(task: Task, sampling: Sampling, nats: dict[str, float]) -> str:
-    """What was chosen, and how well each model predicts the first motion.
+def in_words(task: Task, choice: Choice) -> str:
+    """What was chosen, and why.
 
     Example:
         >>> from torch_pmil import load_experiment
+        >>> from torch_pmil.tasks.sampling import Sampling
         >>> task = load_experiment("double_pendulum")
-        >>> nats = {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25}
-        >>> in_words(task, Sampling(2), nats).partition(" (")[0]
+        >>> lost = {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25}
+        >>> in_words(task, Choice(Sampling(2), lost)).partition(" (")[0]
         'steps of 0.2 s: the simplest that predicts the first motion well'
     """
-    chosen = sampling.described(task.demonstrations.time_step)
-    if not nats:
+    chosen = choice.sampling.described(task.demonstrations.time_step)
+    if not choice.lost:
         return f"{chosen}: the first motion was too short to compare others"
-    compared = ", ".join(f"by {name}: {value:.2f}" for name, value in nats.items())
+    lost, gained = (
+        ", ".join(f"by {name}: {nats:.{digits}f}" for name, nats in of.items())
+        for of, digits in ((choice.lost, 2), (choice.gained, 1))
+    )
     return (
         f"{chosen}: the simplest that predicts the first motion well (nats lost for each entry "
-        f"{compared})"
+        f"{lost}{gained and '; nats gained '}{gained})"
     )
 
 
@@ -103,11 +106,13 @@ def _loaded(task: Task, path: Path) -> FirstMotion:
     return FirstMotion(**found)
 
 
-def _read(task: Task, path: Path) -> tuple[Sampling, dict[str, float]]:
-    """A sampling that another process chose, which must be one of the task's."""
-    found, wanted = read_json(path), asdict(task.samplings[0])
-    nats = found.get("nats") if isinstance(found, dict) else None
-    for sampling in task.samplings:
-        if isinstance(nats, dict) and {**found, "nats": {}} == {**asdict(sampling), "nats": {}}:
-            return sampling, {name: float(value) for name, value in nats.items()}
+def _read(task: Task, path: Path) -> Choice:
+    """A choice that another process made, whose sampling must be one of the task's."""
+    found: Any = read_json(path)
+    wanted = asdict(Choice(task.samplings[0]))
+    if isinstance(found, dict) and found.keys() == wanted.keys():
+        sampling, *nats = found.values()
+        known = [each for each in task.samplings if asdict(each) == sampling]
+        if known and all(isinstance(of, dict) for of in nats):
+            return Choice(known[0], *({name: float(of[name]) for name in of} for of in nats))
     raise FileError(f"{path} must be a sampling of {task.name}, as {wanted}, got {short(found)}")

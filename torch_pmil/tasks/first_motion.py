@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from tensordict import TensorDictBase
@@ -13,6 +12,7 @@ from torch import Tensor
 from torch_pmil.control.exploration import CautiousMotion, RandomActions
 from torch_pmil.envs.rollouts import as_executed, rollout_of, states_of
 from torch_pmil.model.held_out import held_out_loss
+from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
 from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
@@ -21,12 +21,13 @@ from torch_pmil.tasks.with_history import Resting
 SPAN = 4  # over which models predict, in longest steps
 FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # what models that count as alike may lose: a share of the least, and nats for each observed entry,
-# those of an error of half the observation noise for a longer step, which saves most of the work,
-# and of a quarter for less of the past
-ALIKE, OF_STEP, OF_PAST = 1.25, 0.1, 0.03
+# those of an error of half the observation noise
+ALIKE, SMALL = 1.25, 0.1
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion was
 # too short to learn from, and short steps leave the next models the most data
-GOOD = 1.0
+GOOD = 1.5
+LIKELY = 3.0  # nats by which the past explains the motion: odds of twenty to one
+MOST = 100  # transitions that are evidence of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,42 +78,76 @@ def explore(task: Task, seed: int) -> FirstMotion:
     return FirstMotion(states, rollout["action"].double(), Resting(task)(states[0]))
 
 
-def choose(task: Task, motion: FirstMotion) -> tuple[Sampling, dict[str, float]]:
-    """The sampling of a task whose model predicts the first motion best.
+@dataclass(frozen=True)
+class Choice:
+    """How a robot is sampled, and why.
 
-    Models are compared by :func:`~torch_pmil.model.held_out.held_out_loss` over one span of time.
-    The step is the longest of those that predict alike: its predictions take the least time, and
-    pass through the fewest steps. If even the best model is bad, it is the shortest of them. Then
-    the past is the first of those that predict alike at this step, which has the least of it. A
-    motion that was cut short too early to be judged decides nothing.
+    Args:
+        sampling: the choice.
+        lost: nats that a model of each step loses for each entry, by the step in words.
+        gained: nats by which the past explains the motion better, by what of it in words.
+    """
+
+    sampling: Sampling
+    lost: dict[str, float] = field(default_factory=dict)
+    gained: dict[str, float] = field(default_factory=dict)
+
+
+def choose(task: Task, motion: FirstMotion) -> Choice:
+    """The sampling of a task by its first motion.
+
+    Models of each step are compared by :func:`~torch_pmil.model.held_out.held_out_loss` over one
+    span of time. The step is the longest of those that predict alike: its predictions take the
+    least time, and pass through the fewest steps. If even the best model is bad, it is the shortest
+    of them. The state holds the past if that explains the motion
+    (:func:`~torch_pmil.model.past_evidence.evidence_of_the_past`): past actions if they act late,
+    else the last reading and action. A motion that was cut short too early to be judged decides
+    nothing.
 
     Args:
         task: with ``samplings``.
         motion: of its robot.
-
-    Returns:
-        The sampling, and the loss of each that was tried, described in words.
     """
-    samplings, longest = task.samplings, _longest(task)
+    first, longest = task.samplings[0], _longest(task)
     if len(motion.actions) < FEWEST_SPANS * SPAN * longest:
-        return samplings[0], {}
-    tried: dict[str, float] = {}
+        return Choice(first)
+    held, lost = _step(task, motion)
+    if all(each == replace(first, held=each.held) for each in task.samplings):
+        return Choice(replace(first, held=held), lost)
+    evidence, every = _evidence(task, motion, held)
+    sampling = Sampling(held)
+    if evidence.most > LIKELY:
+        late = -(-evidence.periods * every // held)
+        sampling = Sampling(held, 0, late) if evidence.acts_late else Sampling(held, 1, 1)
+    return Choice(sampling, lost, evidence.by_name)
 
-    def alike(compared: Iterable[Sampling], small: float) -> list[Sampling]:
-        found = {sampling: loss(sampling) for sampling in compared}
-        return [each for each in found if found[each] <= ALIKE * min(found.values()) + small]
 
-    def loss(sampling: Sampling) -> float:
-        name = sampling.described(task.demonstrations.time_step)
-        if name not in tried:
-            tried[name] = _loss(sampling.of(task), motion, longest // sampling.held)
-        return tried[name]
+def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
+    """The step, in control periods, and what models lose by each."""
+    first, longest = task.samplings[0], _longest(task)
+    steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
+    lost = [_loss(step.of(task), motion, longest // step.held) for step in steps]
+    found, least = list(zip(steps, lost, strict=True)), min(lost)
+    alike = [step.held for step, nats in found if nats <= ALIKE * least + SMALL]
+    period = task.demonstrations.time_step
+    by_step = {step.described(period): nats for step, nats in found}
+    return alike[-1 if least <= GOOD else 0], by_step
 
-    first = samplings[0]
-    helds = sorted({each.held for each in samplings})
-    steps = alike((replace(first, held=held) for held in helds), OF_STEP)
-    held = steps[-1 if min(tried.values()) <= GOOD else 0].held
-    return alike((each for each in samplings if each.held == held), OF_PAST)[0], tried
+
+def _evidence(task: Task, motion: FirstMotion, held: int) -> tuple[PastEvidence, int]:
+    """Evidence of the past at the shortest step with few transitions, and its control periods.
+
+    That is the robot's own step or one that divides the chosen one, whose data show less.
+    """
+    count = len(motion.actions)
+    every = next(
+        k for k in range(1, held + 1) if held % k == 0 and (count // k <= MOST or k == held)
+    )
+    seen = Sampling(every).of(task)
+    rollout = motion.as_rollout(seen)[None, :MOST]
+    period, targets = seen.demonstrations.time_step, seen.make_dynamics().targets
+    of_motion = states_of(rollout), rollout["action"], seen.space
+    return evidence_of_the_past(*of_motion, period, targets), every
 
 
 def _loss(task: Task, motion: FirstMotion, every: int) -> float:

@@ -17,8 +17,6 @@ from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 
-_SHIPPED: dict[str, Tensor] = {}  # states of the package's demonstrations, recovered once a process
-
 
 def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
     """p(x_0) of independent entries with these means and standard deviations, (D,) each."""
@@ -87,18 +85,13 @@ def simulated_parts(
     shown = fitting(demonstrations or shipped_demonstrations(name), space, env, target_names)
     if initial is None:
         initial = independent_start(env.initial_mean, env.initial_std)
-    states = None if demonstrations else _SHIPPED.get(name)
-    if states is None:
-        period, rates = shown.time_step, rates_of(space.names)
-        of_space = space.match_space, shown.positions, period, initial.mean
-        states = recover_states(*of_space, rates).flatten(0, 1)
-    if not demonstrations:
-        _SHIPPED[name] = states
+    of_space = space.match_space, shown.positions, shown.time_step, initial.mean
+    states = recover_states(*of_space, rates_of(space.names))
     return {
         "name": name,
         "space": space,
         "demonstrations": shown,
-        "demonstrated_states": states.clone(),
+        "demonstrated_states": states.flatten(0, 1),
         "actions": actions_of(env),
         "initial": initial,
     }

@@ -23,11 +23,10 @@ from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.runs.diagnosis.after_a_run import likely_reasons
+from torch_pmil.runs.diagnosis.after_a_run import evidence_in, likely_reasons
 from torch_pmil.runs.diagnosis.before_a_run import needed_torques
 from torch_pmil.runs.diagnosis.causes import check_past
 from torch_pmil.runs.diagnosis.measures import LEARNED
-from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
 from torch_pmil.runs.training import train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
@@ -155,7 +154,7 @@ def test_torques_that_act_late_are_named_until_the_state_holds_them(
         late = with_history(late, past_actions=remembered)
     torques = Draws(3)
     moved = late.robots(8, 4).rollout(20, lambda state: 1.5 * torques.normal(8, 2))
-    evidence = evidence_of_the_past(late, late.make_dynamics().targets, [moved])
+    evidence = evidence_in(late, late.make_dynamics().targets, [moved])
     reason = check_past(evidence)
     if delay and not remembered:
         assert reason.cause == "robot acts late" and "past_actions=1" in reason.message
@@ -175,11 +174,11 @@ def test_velocity_that_is_not_measured_is_named_but_too_short_rollouts_are_no_ev
         moved[key] = moved[key][..., [0, 2]]
     known = {"horizon": 25, "history": None, "demonstrations": swing_up().demonstrations}
     blind = SimpleNamespace(space=space, **known)
-    reason = check_past(evidence_of_the_past(blind, "difference", [moved]))
+    reason = check_past(evidence_in(blind, "difference", [moved]))
     assert reason.cause == "state does not show all"
-    assert evidence_of_the_past(swing_up(), "difference", []) is None
+    assert evidence_in(swing_up(), "difference", []) is None
     one = [swing_up().robots(2, 4).rollout(4)]
-    assert evidence_of_the_past(weak_swing_up(1.0, 5), "difference", one) is None
+    assert evidence_in(weak_swing_up(1.0, 5), "difference", one) is None
 
 
 def test_search_is_stuck_where_the_kl_rises_or_wants_more_trials_if_it_came_further() -> None:

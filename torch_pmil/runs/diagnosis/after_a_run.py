@@ -9,8 +9,10 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.calibration import standardised_residuals
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
 from torch_pmil.runs.diagnosis.before_a_run import check, needed_torques
 from torch_pmil.runs.diagnosis.causes import (
     Reason,
@@ -26,12 +28,14 @@ from torch_pmil.runs.diagnosis.causes import (
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import FEW
 from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, first_mismatch
-from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
+
+RECORDED = 200  # latest transitions that are evidence of the past; one rollout at least
+SHORTEST = 6  # steps of a rollout, beyond those that the state remembers
 
 
 @torch.no_grad()
@@ -67,7 +71,7 @@ def likely_reasons(
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
     found = group(check(task))
-    evidence = evidence_of_the_past(task, loss.dynamics.targets, recorded)
+    evidence = evidence_in(task, loss.dynamics.targets, recorded)
     past = check_past(evidence) if evidence else None
     search = _Search(task, loss, outcomes, loss.step_loss_for_trust(task.initial))
     step = first_mismatch(search.step_loss, task.method.search.trust_threshold)
@@ -89,6 +93,27 @@ def likely_reasons(
     if chance := check_chance(*counted, promised):
         return [chance]
     return [unexplained(*counted, task.tolerance, search.largest(), task.adjustable)]
+
+
+def evidence_in(
+    task: Task, targets: Targets, recorded: Sequence[TensorDictBase]
+) -> PastEvidence | None:
+    """Evidence of the past in the latest rollouts, or None if they are too few or too short.
+
+    Args:
+        task: of the robot. Actions that its state holds already are left out.
+        targets: what its model learns.
+        recorded: whole rollouts, (robots, T) each, in their order.
+    """
+    remembered = 0 if task.history is None else task.history.past_actions
+    steps = min(task.horizon, RECORDED)
+    if not recorded or steps < remembered + SHORTEST:
+        return None
+    latest = recorded[-max(1, RECORDED // (steps * len(recorded[-1]))) :]
+    states = torch.cat([states_of(each)[:, : steps + 1] for each in latest])
+    actions = torch.cat([each["action"][:, :steps] for each in latest])
+    period = task.demonstrations.time_step
+    return evidence_of_the_past(states, actions, task.space, period, targets, remembered)
 
 
 def known_steps(task: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
+from torch_pmil.model.past_evidence import PastEvidence
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.diagnosis.measures import (
     COVERED,
@@ -33,7 +34,6 @@ from torch_pmil.runs.diagnosis.measures import (
     moved_fraction,
     saturated_fraction,
 )
-from torch_pmil.runs.diagnosis.past_evidence import PastEvidence
 
 LATEST = 3  # trials in which a search should come further
 
@@ -191,25 +191,24 @@ def check_model(
 
 def check_past(evidence: PastEvidence) -> Reason | None:
     """A reason if the next state depends on what came before the present one."""
-    of_action, of_state = evidence.of_actions[evidence.periods], evidence.of_state
-    if max(of_state, of_action) <= EVIDENCE:
+    if evidence.most <= EVIDENCE:
         return None
     better = (
         f"nats better than state and action alone ({evidence.transitions} transitions; a "
         f"difference up to {EVIDENCE:.0f} nats means nothing)"
     )
-    if of_action >= of_state / 2:  # past actions alone hardly explain what is merely hidden
+    if evidence.acts_late:
         return Reason(
             "robot acts late",
             f"the action {evidence.periods * evidence.time_step:.2f} s before explains the motion "
-            f"{of_action:.0f} {better}: commands take effect late; let the state hold them "
-            f"(past_actions={evidence.periods} of PMIL)",
+            f"{evidence.of_action:.0f} {better}: commands take effect late; let the state "
+            f"hold them (past_actions={evidence.periods} of PMIL)",
         )
     return Reason(
         "state does not show all",
         f"its change over the last {evidence.time_step:.2f} s explains the motion "
-        f"{of_state:.0f} {better}: a velocity or a part of the robot is not measured; let the "
-        "state hold the past (past_entries=1 and past_actions=1 of PMIL)",
+        f"{evidence.of_state:.0f} {better}: a velocity or a part of the robot is not measured; let "
+        "the state hold the past (past_entries=1 and past_actions=1 of PMIL)",
     )
 
 

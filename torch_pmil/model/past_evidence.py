@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.experience import gp_data
-from torch_pmil.tasks.task import Task
 
-RECORDED = 200  # latest transitions that are evidence; one rollout at least
-FEWEST_STEPS = 5  # of a rollout, beyond those that the state remembers
-FARTHEST = 2  # control periods
+FARTHEST = 3  # periods
 
 
 @dataclass(frozen=True)
@@ -26,10 +21,10 @@ class PastEvidence:
     """Nats by which the past explains a motion better than state and action alone.
 
     Args:
-        of_actions: nats by the action so many control periods before.
+        of_actions: nats by the action so many periods before.
         of_state: nats by how the state changed over the last period.
         transitions: number of transitions that are the evidence.
-        time_step: s.
+        time_step: a period, s.
     """
 
     of_actions: Mapping[int, float]
@@ -42,33 +37,56 @@ class PastEvidence:
         """How many periods before the action was that explains most."""
         return max(self.of_actions, key=lambda number: self.of_actions[number])
 
+    @property
+    def of_action(self) -> float:
+        """Nats by that action."""
+        return self.of_actions[self.periods]
+
+    @property
+    def most(self) -> float:
+        """Nats by what explains most."""
+        return max(self.of_action, self.of_state)
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """All nats, by what explains them in words."""
+        actions = {
+            f"the action {periods * self.time_step:g} s before": nats
+            for periods, nats in self.of_actions.items()
+        }
+        return {**actions, f"the change over the last {self.time_step:g} s": self.of_state}
+
+    @property
+    def acts_late(self) -> bool:
+        """Whether actions that act late explain the motion, and not a state that shows too little.
+
+        Past actions alone hardly explain what is merely hidden.
+        """
+        return self.of_action >= self.of_state / 2
+
 
 def evidence_of_the_past(
-    task: Task, targets: Targets, recorded: Sequence[TensorDictBase]
-) -> PastEvidence | None:
-    """The evidence of the latest rollouts, or None if they are too few or too short.
+    states: Tensor,
+    actions: Tensor,
+    space: StateSpace,
+    time_step: float,
+    targets: Targets = "difference",
+    remembered: int = 0,
+) -> PastEvidence:
+    """The evidence of rollouts, with arguments as for :func:`evidence_of_past_action`.
 
-    Args:
-        task: of the robot. Actions that its state holds already are left out.
-        targets: what its model learns.
-        recorded: whole rollouts, (robots, T) each, in their order.
+    The space may hold the last ``remembered`` actions already: those before are tried.
     """
-    remembered = 0 if task.history is None else task.history.past_actions
-    steps = min(task.horizon, RECORDED)
-    if not recorded or steps < remembered + FEWEST_STEPS:
-        return None
-    latest = recorded[-max(1, RECORDED // (steps * len(recorded[-1]))) :]
-    states = torch.cat([states_of(each)[:, : steps + 1] for each in latest])
-    actions = torch.cat([each["action"][:, :steps] for each in latest])
-    motion = states, actions, task.space
+    motion = states, actions, space
+    further = range(remembered + 1, remembered + FARTHEST + 1)
     return PastEvidence(
         {
             periods: evidence_of_past_action(*motion, periods, targets).sum().item()
-            for periods in range(remembered + 1, remembered + FARTHEST + 1)
+            for periods in further
         },
         evidence_of_past_state(*motion, targets=targets).sum().item(),
         actions[..., 0].numel(),
-        task.demonstrations.time_step,
+        time_step,
     )
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.runs.diagnosis.past_evidence import evidence_of_past_action, evidence_of_past_state
+from torch_pmil.model.past_evidence import evidence_of_past_action, evidence_of_past_state
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))

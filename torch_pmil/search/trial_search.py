@@ -27,7 +27,8 @@ from torch_pmil.search.policy_search import (
 from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-BOLDER = 4.0  # trust of a search that comes no further, in that of the settings
+# trust of a search that comes no further, and its last iterations, in those of the settings
+BOLDER = 4.0
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
 STEADYINGS = 8  # of one policy, while it gets no worse
 
@@ -37,9 +38,9 @@ class TrialSearch:
 
     A trial searches from the policy that the last one left. If that neither matches the whole
     horizon nor brings the loss well below the smallest so far, it searches from the refitted policy
-    too (:func:`refit_policy`), then with more trust, and then from ``settings.restarts`` random
-    policies. The best is kept. After a rollout that failed, a match of the whole horizon is not
-    enough: it may be that of a poor optimum.
+    too (:func:`refit_policy`), then with more trust and patience, and then from
+    ``settings.restarts`` random policies. The best is kept. After a rollout that failed, a match of
+    the whole horizon is not enough: it may be that of a poor optimum.
 
     A policy that matches the whole horizon, but is predicted to fail from too many starts, is
     searched on (:func:`search_for_success`), from random policies only after a rollout that
@@ -85,9 +86,14 @@ class TrialSearch:
             refitted = refit_policy(loss, initial, new, settings, self.generator)
             self._keep_better(loss, refitted, search)
         if not (self.result.complete or self._enough(succeeded)):
-            bolder = replace(settings, trust_threshold=BOLDER * settings.trust_threshold)
+            bolder = replace(
+                settings,
+                trust_threshold=BOLDER * settings.trust_threshold,
+                final_iterations=round(BOLDER * settings.final_iterations),
+            )
             found = copy.deepcopy(loss.actor_network)
-            self._keep_better(loss, found, partial(search, settings=bolder))
+            if self._keep_better(loss, found, partial(search, settings=bolder)):
+                settings = bolder
         for _ in range(settings.restarts):
             if not self._enough(succeeded):
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
@@ -108,16 +114,18 @@ class TrialSearch:
 
     def _keep_better(
         self, loss: TrajectoryLoss, start: RBFPolicy, search: Callable[[], SearchResult]
-    ) -> None:
-        """Search from another start, and keep the better of the two policies."""
+    ) -> bool:
+        """Search from another start, keep the better of the two policies, and say if it is new."""
         found = copy.deepcopy(loss.actor_network.state_dict())
         loss.actor_network.load_state_dict(start.state_dict())
         second = search()
-        if second.loss < self.result.loss:
+        better = second.loss < self.result.loss
+        if better:
             self.result = second.with_work_of(self.result)
         else:
             loss.actor_network.load_state_dict(found)
             self.result = self.result.with_work_of(second)
+        return better
 
     def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""

@@ -13,7 +13,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.experience import gp_data
 
-FARTHEST = 3  # periods
+FARTHEST = 2  # periods
 
 
 @dataclass(frozen=True)

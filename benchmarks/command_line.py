@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from torch_pmil.runs.run_folder import provenance
 
@@ -19,3 +22,17 @@ def add_json(parser: argparse.ArgumentParser, name: str) -> None:
 def source_of(name: str) -> dict[str, object]:
     """Where the numbers of ``python -m benchmarks.NAME`` come from, as a summary has it."""
     return provenance(shlex.join(["python", "-m", f"benchmarks.{name}", *sys.argv[1:]]))
+
+
+def row_of_own_process(name: str, *words: str) -> dict[str, Any]:
+    """What ``python -m benchmarks.NAME WORDS`` prints as JSON in its last line.
+
+    Raises:
+        RuntimeError: it failed; the message has its last line.
+    """
+    command = [sys.executable, "-m", f"benchmarks.{name}", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{shlex.join(words)}: {done.stderr.strip().splitlines()[-1]}")
+    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return row

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import subprocess
 import sys
 import time
 import warnings
@@ -21,20 +20,20 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import Derivative, Stranger, StrangerEnv, joint, mass
 from torch_pmil import PMIL
 from torch_pmil.demonstrations import DemonstrationError, Recordings
 from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.before_a_run import check
 
-OUT, JOBS, SEED, TRIALS = Path("runs/failures"), 2, 100, 4
-LEARNED = 0.95
+JOBS, SEED, TRIALS = 2, 100, 4
 Change = Callable[[list[np.ndarray]], list[np.ndarray]]
 
 
@@ -153,9 +152,7 @@ FAILURES = {
     ),
     "times in milliseconds": Failure(JOINT, "time looks like milliseconds", seconds=1000),
     "ten times too fast": Failure(JOINT, "action at its limit", seconds=0.1),
-    "weak motor": Failure(
-        _joint_of(limits=(1.5,), goal={"q": 1.3}), "action at its limit"
-    ),
+    "weak motor": Failure(_joint_of(limits=(1.5,), goal={"q": 1.3}), "action at its limit"),
     "angle that wraps": Failure(
         _joint_of(start=(2.6, 0.0), limits=(8.0,), goal={"q": 4.0}),
         "wrap|turn",
@@ -197,7 +194,7 @@ FAILURES = {
     "control period of another robot": Failure(
         JOINT, "control_period|steps_per_action", said={"control_period": 0.12}
     ),
-}  # fmt: skip
+}
 
 
 def main() -> None:
@@ -229,7 +226,7 @@ def failed(name: str) -> dict[str, Any]:
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
-            success, said = _learned(name, failure)
+            success, said = _learned(failure)
         except (DemonstrationError, TypeError, ValueError) as error:
             said = [str(error)]
     ours = [str(each.message) for each in warned if each.category in (UserWarning, RuntimeWarning)]
@@ -244,24 +241,21 @@ def failed(name: str) -> dict[str, Any]:
     }
 
 
-def _learned(name: str, failure: Failure) -> tuple[float, list[str]]:
-    """Success of a robot, and the reasons why it did not learn."""
+def _learned(failure: Failure) -> tuple[float, list[str]]:
+    """Success of a robot, and the reasons why it did not learn; nothing is left of its run."""
     robot = failure.robot
     said = {"control_period": robot.dt, "state": robot.state, **robot.said, **failure.said}
     learner = PMIL(failure.env(robot), failure.recordings(), **said)
     before = [f"{finding.cause}: {finding.message}" for finding in check(learner.task)]
-    learner.learn(failure.trials, SEED, OUT / name.replace(" ", "_"), overwrite=True)
+    with TemporaryDirectory() as folder:
+        learner.learn(failure.trials, SEED, Path(folder, "run"))
     reasons = learner.result.summary["diagnosis"]
     after = [f"{reason['cause']}: {reason['message']}" for reason in reasons]
     return learner.evaluate(), before + after
 
 
 def _in_own_process(name: str) -> dict[str, Any]:
-    command = [sys.executable, "-m", "benchmarks.failures", "--alone", "--names", name]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
-    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    row = row_of_own_process("failures", "--alone", "--names", name)
     first = row["said"][0] if row["said"] else "nothing"
     print(f"{'right' if row['right'] else 'WRONG':>6} {name}: {first:.150}", file=sys.stderr)
     return row

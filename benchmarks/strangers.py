@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -26,7 +25,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
 from torch_pmil.files import write_json
@@ -35,7 +34,7 @@ from torch_pmil.tasks.registry import module_of
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
-CHANGED = "-dirty"  # end of the name of sources that nothing tells apart
+CHANGED = "-dirty"  # ends the commit of sources with changes that are not committed
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
 VARIATIONS: dict[str, dict[str, Any]] = {
@@ -133,12 +132,8 @@ def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> 
     if known and (row := json.loads(kept.read_text()))["commit"] == commit:
         return row
     given = ["--robots", str(path)] if path else []
-    command = [sys.executable, "-m", "benchmarks.strangers", "--alone", *given]
-    command += ["--names", name, "--seeds", str(seed), "--variation", variation]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{name}, seed {seed}: {done.stderr.strip().splitlines()[-1]}")
-    row = {**json.loads(done.stdout.splitlines()[-1]), "commit": commit}
+    words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variation", variation]
+    row = {**row_of_own_process("strangers", *words), "commit": commit}
     kept.parent.mkdir(parents=True, exist_ok=True)
     write_json(kept, row)
     print(ROW.format(**row), file=sys.stderr, flush=True)

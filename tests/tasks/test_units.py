@@ -143,7 +143,7 @@ def test_limits_name_what_may_be_meant() -> None:
 def test_recordings_beyond_the_limits_are_doubted_unless_these_are_a_turn(
     bound: float, count: int, recwarn: pytest.WarningsRecorder
 ) -> None:
-    """The largest recorded value is 0.54 m, of pi 1.08 rad beyond."""
+    """The largest recorded value is 0.54 m, and 3.78 rad beside limits of pi."""
     task(Slider(bound=bound), reaches(7.0 if bound == math.pi else 1.0))
     said = [str(each.message) for each in recwarn if "out of reach" in str(each.message)]
     assert len(said) == count, said

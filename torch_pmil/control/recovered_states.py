@@ -96,7 +96,7 @@ def _change(
     By the method of Levenberg and Marquardt, for all trajectories at once. The unknown is the
     change in its size, which begins at zero: steps of the search are relative.
     """
-    change, still = torch.zeros_like(before), STAYING * torch.eye(before.shape[-1]).double()
+    change, each = torch.zeros_like(before), torch.eye(before.shape[-1], dtype=torch.float64)
     damping = torch.full((len(before), 1, 1), DAMPING, dtype=torch.float64)
 
     def linearised(change: Tensor) -> tuple[Tensor, Tensor]:
@@ -104,11 +104,13 @@ def _change(
         state = before + sizes * change
         apart = torch.cat([(match_space(state) - sample) / shown, STAYING * change], -1)
         slopes = match_space.slopes(state) * sizes / shown[:, None]
-        return apart[..., None], torch.cat([slopes, still.expand(len(state), -1, -1)], -2)
+        return apart[..., None], torch.cat(
+            [slopes, (STAYING * each).expand(len(state), -1, -1)], -2
+        )
 
     apart, slopes = linearised(change)
     for _ in range(MOST_STEPS):
-        curvature = slopes.mT @ slopes + damping * still / STAYING
+        curvature = slopes.mT @ slopes + damping * each
         step = torch.linalg.solve(curvature, -slopes.mT @ apart)
         then, then_slopes = linearised(change + step[..., 0])
         better = then.square().sum(-2, keepdim=True) <= apart.square().sum(-2, keepdim=True)

@@ -84,7 +84,7 @@ def evidence_of_the_past(
             periods: evidence_of_past_action(*motion, periods, targets).sum().item()
             for periods in further
         },
-        evidence_of_past_state(*motion, targets=targets).sum().item(),
+        evidence_of_past_state(*motion, targets).sum().item(),
         actions[..., 0].numel(),
         time_step,
     )
@@ -136,20 +136,18 @@ def evidence_of_past_state(
     states: Tensor,
     actions: Tensor,
     space: StateSpace,
-    periods: int = 1,
     targets: Targets = "difference",
 ) -> Tensor:
-    r"""Nats of evidence that a model gains by how the features changed since a state of the past.
+    r"""Nats of evidence that a model gains by how the features changed over the last period.
 
-    .. math:: \log p(x_{t+1} \mid x_t, u_t, x_t - x_{t-k}) - \log p(x_{t+1} \mid x_t, u_t)
+    .. math:: \log p(x_{t+1} \mid x_t, u_t, x_t - x_{t-1}) - \log p(x_{t+1} \mid x_t, u_t)
 
     The past helps where velocities are missing, a part is hidden, or sensors are noisy. Arguments,
     result and errors are those of :func:`evidence_of_past_action`.
     """
-    _check(states, actions, periods)
-    features = space.features(states[:, :-1])
-    change = features[:, periods:] - features[:, :-periods]
-    return _evidence(states, actions, change, space, periods, targets)
+    _check(states, actions, 1)
+    change = space.features(states[:, :-1]).diff(dim=1)
+    return _evidence(states, actions, change, space, 1, targets)
 
 
 def _check(states: Tensor, actions: Tensor, periods: int) -> None:

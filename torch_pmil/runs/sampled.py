@@ -111,8 +111,12 @@ def _read(task: Task, path: Path) -> Choice:
     found: Any = read_json(path)
     wanted = asdict(Choice(task.samplings[0]))
     if isinstance(found, dict) and found.keys() == wanted.keys():
-        sampling, *nats = found.values()
-        known = [each for each in task.samplings if asdict(each) == sampling]
-        if known and all(isinstance(of, dict) for of in nats):
-            return Choice(known[0], *({name: float(of[name]) for name in of} for of in nats))
+        known = [each for each in task.samplings if asdict(each) == found["sampling"]]
+        if known and _are_numbers(found["lost"]) and _are_numbers(found["gained"]):
+            return Choice(known[0], found["lost"], found["gained"])
     raise FileError(f"{path} must be a sampling of {task.name}, as {wanted}, got {short(found)}")
+
+
+def _are_numbers(nats: object) -> bool:
+    """Whether these are numbers by name, as JSON has them."""
+    return isinstance(nats, dict) and all(type(value) in (int, float) for value in nats.values())

@@ -9,12 +9,14 @@ from torch_pmil.checks import whole_multiple
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.files import short
+from torch_pmil.model.past_evidence import FARTHEST
 from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
 
 FEWEST = 25  # steps of a motion at the longest step
-PASTS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1))  # past entries and actions, fewest first
+# past entries and actions, fewest first
+PASTS = ((0, 0), *((0, periods) for periods in range(1, FARTHEST + 1)), (1, 1))
 
 
 def samplings_of(task: Task, given: Sampling, step: object, past: object) -> tuple[Sampling, ...]:

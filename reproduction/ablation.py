@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
@@ -128,7 +126,6 @@ def variations() -> dict[str, Variation]:
         "plain_angles": {
             "space": replace(task.space, angles=()),
             "method": replace(task.method, policy=replace(policy, least_widths=None)),
-            "demonstrated_states": near_start(task),
         },
         "successors": {"targets": "successor"},
         "particles": {"prediction": ParticlePrediction(PARTICLES)},
@@ -137,18 +134,6 @@ def variations() -> dict[str, Variation]:
         name: replace(ours, name=f"double_pendulum_ablation_{name}", **change)
         for name, change in changes.items()
     }
-
-
-def near_start(task: Task) -> Tensor:
-    """The demonstrated states (S, D) with angles that begin nearest to those of p(x_0).
-
-    Whole turns are taken off each demonstration.
-    """
-    states = task.demonstrated_states.unflatten(0, (-1, task.horizon + 1)).clone()
-    angles = list(task.space.angles)
-    turns = ((states[:, :1, angles] - task.initial.mean[angles]) / (2 * math.pi)).round()
-    states[..., angles] -= 2 * math.pi * turns
-    return states.flatten(0, 1)
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:

@@ -8,7 +8,11 @@ from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.model.past_evidence import evidence_of_past_action, evidence_of_past_state
+from torch_pmil.model.past_evidence import (
+    PastEvidence,
+    evidence_of_past_action,
+    evidence_of_past_state,
+)
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
@@ -36,6 +40,23 @@ def test_past_action_is_missed_where_it_acts(draws: Draws, late: int) -> None:
             assert nats[1] > 20
         else:
             assert nats.sum() < 5  # what further parameters gain by chance
+
+
+@pytest.mark.parametrize(
+    ("of_actions", "of_state", "late", "likely"),
+    [
+        ({1: 31.0, 2: 10.0}, 116.0, False, True),  # a hidden motor
+        ({1: -1.0, 4: 320.0}, 11.0, True, True),
+        ({1: 2.0, 5: 9.0}, 1.0, True, False),  # holding five actions costs more than it gains
+        ({1: 4.0, 5: 9.0}, 1.0, True, True),
+    ],
+)
+def test_each_further_entry_of_the_state_has_its_price(
+    of_actions: dict[int, float], of_state: float, late: bool, likely: bool
+) -> None:
+    evidence = PastEvidence(of_actions, of_state, 60, 0.05)
+    assert (evidence.acts_late, evidence.is_likely) == (late, likely)
+    assert evidence.periods == (4 if 4 in of_actions else 1)
 
 
 def test_past_state_is_missed_where_velocities_are(draws: Draws) -> None:

@@ -35,7 +35,7 @@ CHANGED = {
     "random_centres": {"random_centres"},
     "noise_0.02m": {"noise_std"},
     "noise_0.1m": {"noise_std"},
-    "plain_angles": {"space", "demonstrated_states", "least_widths"},
+    "plain_angles": {"space", "least_widths"},
     "successors": {"targets"},
     "particles": {"prediction"},
 }

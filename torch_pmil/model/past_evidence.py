@@ -13,7 +13,9 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.experience import gp_data
 
-FARTHEST = 2  # periods
+FARTHEST = 6  # periods
+# nats that each further action or reading in the state must gain: odds of twenty to one
+LIKELY = 3.0
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,8 @@ class PastEvidence:
 
     @property
     def periods(self) -> int:
-        """How many periods before the action was that explains most."""
-        return max(self.of_actions, key=lambda number: self.of_actions[number])
+        """How many periods before the action was that explains most, less what holding it costs."""
+        return max(self.of_actions, key=self._beyond_its_price)
 
     @property
     def of_action(self) -> float:
@@ -48,21 +50,29 @@ class PastEvidence:
         return max(self.of_action, self.of_state)
 
     @property
+    def is_likely(self) -> bool:
+        """Whether a state that holds the past is worth its further entries."""
+        return max(self._beyond_its_price(self.periods), self.of_state - LIKELY) > 0
+
+    @property
     def by_name(self) -> dict[str, float]:
-        """All nats, by what explains them in words."""
-        actions = {
-            f"the action {periods * self.time_step:g} s before": nats
-            for periods, nats in self.of_actions.items()
+        """Nats by what explains most, in words."""
+        late = f"the action {self.periods * self.time_step:g} s before"
+        return {
+            late: self.of_action,
+            f"the change over the last {self.time_step:g} s": self.of_state,
         }
-        return {**actions, f"the change over the last {self.time_step:g} s": self.of_state}
 
     @property
     def acts_late(self) -> bool:
         """Whether actions that act late explain the motion, and not a state that shows too little.
 
-        Past actions alone hardly explain what is merely hidden.
+        Past actions alone explain less of what is merely hidden than a change of the state does.
         """
-        return self.of_action >= self.of_state / 2
+        return self._beyond_its_price(self.periods) >= self.of_state - LIKELY
+
+    def _beyond_its_price(self, periods: int) -> float:
+        return self.of_actions[periods] - LIKELY * periods
 
 
 def evidence_of_the_past(
@@ -78,7 +88,8 @@ def evidence_of_the_past(
     The space may hold the last ``remembered`` actions already: those before are tried.
     """
     motion = states, actions, space
-    further = range(remembered + 1, remembered + FARTHEST + 1)
+    farthest = min(remembered + FARTHEST, actions.shape[1] - 4)
+    further = range(remembered + 1, farthest + 1)
     return PastEvidence(
         {
             periods: evidence_of_past_action(*motion, periods, targets).sum().item()

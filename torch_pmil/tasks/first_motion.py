@@ -26,8 +26,7 @@ ALIKE, SMALL = 1.25, 0.03
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion was
 # too short to learn from, and short steps leave the next models the most data
 GOOD = 1.5
-LIKELY = 3.0  # nats by which the past explains the motion: odds of twenty to one
-MOST = 100  # transitions that are evidence of it
+MOST = 100  # transitions that are evidence of the past
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +115,7 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
         return Choice(replace(first, held=held), lost)
     evidence, every = _evidence(task, motion, held)
     sampling = Sampling(held)
-    if evidence.most > LIKELY:
+    if evidence.is_likely:
         late = -(-evidence.periods * every // held)
         sampling = Sampling(held, 0, late) if evidence.acts_late else Sampling(held, 1, 1)
     return Choice(sampling, lost, evidence.by_name)

@@ -127,6 +127,7 @@ SUCCESSES = {  # restarts, rates, the searches made, and the number of the one k
     "no restart": (0, [0.5, 0.6, 0.4], ["steady"] * 2, 1),
     "better restart": (1, [0.5, 0.4, 0.3, 0.7, 0.6], ["steady", "random", "steady", "steady"], 3),
     "at once": (2, [0.5, 0.4, 1.0], ["steady", "random"], 2),
+    "hopeless": (1, [0.0, 0.001, 0.0, 0.95], ["steady", "random", "steady"], 3),
     "worse": (1, [0.5, 0.4, 0.2, 0.1], ["steady", "random", "steady"], 0),
 }
 

@@ -31,6 +31,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 BOLDER = 4.0
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
 STEADYINGS = 8  # of one policy, while it gets no worse
+HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
 
 
 class TrialSearch:
@@ -163,8 +164,9 @@ def search_for_success(
     """Search on until the predicted success rate of the policy is :attr:`Promise.aim`.
 
     The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
-    it gets no worse. Then others are searched from random policies, and steadied too. The policy
-    with the highest predicted rate is kept, of several alike the one of least loss.
+    it gets no worse and is not hopeless. Then others are searched from random policies, and
+    steadied too. The policy with the highest predicted rate is kept, of several alike the one of
+    least loss.
 
     Args:
         loss, initial, settings, report, optimizer: as for :func:`search_policy`.
@@ -197,7 +199,7 @@ def search_for_success(
                 break
             if not judge(steady_policy(loss, initial, settings, report, optimizer)):
                 return False
-            if found[-1].predicted.rate < found[-2].predicted.rate:
+            if found[-1].predicted.rate < max(found[-2].predicted.rate, HOPELESS):
                 break
         return True
 

@@ -25,23 +25,27 @@ from typing import Any
 
 import torch
 
+from benchmarks.absolute import with_fixed_criteria, with_limits
 from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
 from torch_pmil.files import write_json
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.tasks.registry import module_of
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
 CHANGED = "-dirty"  # ends the commit of sources with changes that are not committed
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
-VARIATIONS: dict[str, dict[str, Any]] = {
-    "": {},
-    "own step": {"step": None},
-    "no past": {"past": None},
-    "own step, no past": {"step": None, "past": None},
+Vary = Callable[[Task], Task]
+VARIATIONS: dict[str, tuple[dict[str, Any], Vary]] = {  # what is said, and of what task
+    "": ({}, lambda task: task),
+    "own step": ({"step": None}, lambda task: task),
+    "no past": ({"past": None}, lambda task: task),
+    "limits": ({}, with_limits),
+    "fixed criteria": ({}, with_fixed_criteria),
 }
 
 
@@ -53,7 +57,11 @@ def main() -> None:
     parser.add_argument("--robots", type=Path, help="file with other robots")
     parser.add_argument("--names", default="", help="of the robots, by commas; all by default")
     parser.add_argument("--seeds", default="100-102", help="of the runs, FIRST-LAST")
-    parser.add_argument("--variation", default="", choices=VARIATIONS)
+    parser.add_argument(
+        "--variations",
+        default="",
+        help=f"by commas, of {', '.join(VARIATIONS)[2:]}; none by default",
+    )
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "strangers")
     arguments = parser.parse_args()
@@ -61,23 +69,28 @@ def main() -> None:
     names = arguments.names.split(",") if arguments.names else list(known)
     first, _, last = arguments.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
+    variations = arguments.variations.split(",")
     if arguments.alone:
         torch.set_num_threads(1)
-        print(json.dumps(learned(names[0], known[names[0]], seeds[0], arguments.variation)))
+        print(json.dumps(learned(names[0], known[names[0]], seeds[0], variations[0])))
         return
-    learn = partial(_in_own_process, arguments.robots, arguments.variation)
+    runs = [(each, name, seed) for each in variations for seed in seeds for name in names]
     with ThreadPoolExecutor(JOBS) as pool:
-        rows = list(pool.map(lambda pair: learn(*pair), [(n, s) for s in seeds for n in names]))
+        rows = list(pool.map(partial(_in_own_process, arguments.robots), *zip(*runs, strict=True)))
+    of_each = {
+        each: headline([row for row in rows if row["variation"] == each]) for each in variations
+    }
     write_json(
         arguments.json,
         {
             "experiment": "strangers",
             **source_of("strangers"),
-            "headline": headline(rows),
+            "headline": of_each[""] if variations == [""] else of_each,
             "rows": rows,
         },
     )
-    print(table(rows))
+    for each in variations:
+        print(f"\n{each}", table([row for row in rows if row["variation"] == each]), sep="\n")
 
 
 def robots(path: Path | None) -> dict[str, Made]:
@@ -100,10 +113,11 @@ def robots(path: Path | None) -> dict[str, Made]:
 def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, Any]:
     """Learn one robot, and return what came of it."""
     begun, (robot, recordings, said) = time.process_time(), make()
-    changes = dict(VARIATIONS[variation])
+    changes, vary = VARIATIONS[variation]
     if "step" in changes:
-        changes["step"] = said["control_period"]
+        changes = {"step": said["control_period"]}
     learner = PMIL(robot, recordings, **{**said, **changes})
+    learner.task = vary(learner.task)
     commit = str(provenance("")["commit"])
     out = OUT / commit / _label(name, variation) / f"seed_{seed}"
     changed = commit.endswith(CHANGED)
@@ -132,7 +146,7 @@ def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> 
     if known and (row := json.loads(kept.read_text()))["commit"] == commit:
         return row
     given = ["--robots", str(path)] if path else []
-    words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variation", variation]
+    words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variations", variation]
     row = {**row_of_own_process("strangers", *words), "commit": commit}
     kept.parent.mkdir(parents=True, exist_ok=True)
     write_json(kept, row)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.tasks.double_pendulum import double_pendulum
@@ -24,14 +23,11 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     :func:`double_pendulum`.
     """
     task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
-    states = task.demonstrated_states.unflatten(0, task.demonstrations.positions.shape[:2])
-    states = without_turns(states, env.initial_mean, task.space.angles).flatten(0, 1)
     return replace(
         task.with_settings(initial_weight_std=WEIGHT_STD),
         name="double_pendulum_servo",
         make_env=DoublePendulumServoEnv,
         actions=actions_of(env),
-        demonstrated_states=states,
         holding_actions=env.holding_actions,
-        held_states=states,
+        held_states=task.demonstrated_states,
     )

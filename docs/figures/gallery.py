@@ -7,14 +7,16 @@ What was learned already in ``runs/NAME/seed_0`` is not learned again. It needs 
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+from PIL import Image, ImageSequence
+
 from torch_pmil.tasks.registry import EXPERIMENTS
 
 FILMS = Path(__file__).parent / "robots"
+WIDTH, COLOURS, EVERY = 240, 64, 2  # pixels, colours, and which frames are kept
 LETTER = "demonstrations=lasa:Sshape"
 ROBOTS = sorted(EXPERIMENTS.keys() - {"acrobot", "double_pendulum_pilco"})  # not learned, the same
 
@@ -26,7 +28,14 @@ def film(name: str) -> None:
     settings += [LETTER] if name.startswith("handwriting") else []
     subprocess.run([sys.executable, "-m", "torch_pmil", "train", *settings], check=True)
     FILMS.mkdir(exist_ok=True)
-    shutil.copyfile(run / "video.gif", FILMS / f"{name}.gif")
+    with Image.open(run / "video.gif") as video:
+        size, pause = (WIDTH, WIDTH * video.height // video.width), EVERY * video.info["duration"]
+        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(video)]
+    colours = frames[-1].quantize(COLOURS)
+    shown = {"palette": colours, "dither": Image.Dither.NONE}  # what stands still stays the same
+    first, *others = (frame.quantize(**shown) for frame in frames[::EVERY])
+    film = {"save_all": True, "append_images": others, "duration": pause, "loop": 0}
+    first.save(FILMS / f"{name}.gif", **film)
 
 
 def main() -> None:

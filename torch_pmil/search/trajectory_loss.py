@@ -185,13 +185,15 @@ class TrajectoryLoss(LossModule):
         None if they do not: of a loss with a prediction or a comparison of its own, for several
         start beliefs, or with a penalty.
         """
-        mean_alone = per_step == self.mean_per_step
-        methods = ("begin", "predict_states", "per_step", "mean_per_step")
+        method, of_class = getattr(per_step, "__func__", None), type(self)
+        mean_alone = method is TrajectoryLoss.mean_per_step
         plain = (
-            all(getattr(type(self), name) is getattr(TrajectoryLoss, name) for name in methods)
+            (mean_alone or (method is TrajectoryLoss.per_step and self._penalty is None))
+            and type(self.actor_network) is RBFPolicy
+            and of_class.begin is TrajectoryLoss.begin
+            and of_class.predict_states is TrajectoryLoss.predict_states
             and self.prediction is predict_trajectory
             and self.mean_prediction is predict_mean_trajectory
-            and (mean_alone or (per_step == self.per_step and self._penalty is None))
         )
         comparison = self._comparison(horizon) if plain else None
         if comparison is None or not serves(comparison.tensors, ()):

@@ -86,7 +86,7 @@ def test_stopped_run_is_resumed_by_its_folder(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr(policy_search, "minimise", interrupted)
+        patch.setattr(policy_search, "minimise_function", interrupted)
         run_command(patch, "train", "trials=1", "seed=7", "out=here it is", "logger=null")
     run_command(monkeypatch, "resume", "here it is")
     summary = json.loads((tmp_path / "here it is" / "summary.json").read_text())

@@ -484,7 +484,7 @@ def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
 ) -> None:
     shipped = shipped_demonstrations()
     replace(shipped, positions=shipped.positions[[0, 1, 2, 3, 4, 1]]).save("own.npz")
-    monkeypatch.setattr(policy_search, "minimise", interrupted)
+    monkeypatch.setattr(policy_search, "minimise_function", interrupted)
     quick_fits(monkeypatch)
     with pytest.raises(SystemExit):
         script("demonstrations=own.npz", "trials=1", "out=run")

@@ -44,7 +44,7 @@ PD_MOVEMENTS = PDMovements(
 PHASES = {  # what is called there
     "collection": (MujocoRobotEnv, "_step"),
     "fit": (dynamics, "find_hyperparameters"),
-    "search": (policy_search, "minimise"),
+    "search": (policy_search, "minimise_function"),
     "evaluation": (MujocoRobotEnv, "_step"),
     "writing": (zipfile.ZipFile, "write"),
     "renaming": (Checkpoint, "_publish_path"),

@@ -4,18 +4,22 @@ further.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
 from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
-from tests.helpers.losses import HORIZON, make_kl
+from tests.helpers.losses import HORIZON, make_cost, make_kl
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.gp.lbfgs import MinimiseResult, minimise
+from torch_pmil.gp.lbfgs import MinimiseResult, differentiated, in_one_vector, minimise
+from torch_pmil.model.rollout import PredictionError, predict_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.reparameterisation import NOISE_VARIANCE, ReparameterisedLoss
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 START = Gaussian(torch.zeros(2, dtype=torch.float64), 0.01 * torch.eye(2, dtype=torch.float64))
 
@@ -70,6 +74,46 @@ def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
     assert_close(centres, of_centres)
     assert_close(widths, of_widths)
     assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
+
+
+@pytest.mark.parametrize("make", [make_kl, make_cost])
+@pytest.mark.parametrize("method", ["per_step", "mean_per_step"])
+def test_kernels_without_a_graph_give_the_same_bits(
+    make: Callable[[int], TrajectoryLoss], method: str, draws: Draws
+) -> None:
+    loss = make(0)
+    reparameterised, per_step = ReparameterisedLoss(loss), getattr(loss, method)
+    arguments = per_step, START, HORIZON - 1
+    assert loss.objective(*arguments) is not None
+    direct = reparameterised.as_function(*arguments)
+    variables = reparameterised.variables
+    by_formulas = differentiated(variables, lambda: reparameterised.total(*arguments))
+    point = in_one_vector(variables)
+    for _ in range(3):  # arrays are used again
+        point = point + 0.1 * draws.normal(len(point))
+        found, expected = direct(point), by_formulas(point)
+        assert found[0] == expected[0]
+        assert torch.equal(found[1], expected[1])
+
+
+def test_where_kernels_have_no_answer_the_formulas_say_why(loss: TrajectoryKLLoss) -> None:
+    reparameterised = ReparameterisedLoss(loss)
+    direct = reparameterised.as_function(loss.per_step, START, HORIZON)
+    point = in_one_vector(reparameterised.variables)
+    value = direct(point)[0]
+    with pytest.raises(PredictionError, match="step 1 of 4"):
+        direct(point * torch.nan)
+    assert direct(point)[0] == value
+
+
+def test_what_kernels_do_not_know_has_a_graph(loss: TrajectoryKLLoss) -> None:
+    assert loss.objective(loss.cross_entropy_per_step, START, HORIZON) is None
+    several = Gaussian(START.mean.expand(3, 2), START.cov.expand(3, 2, 2))
+    assert loss.objective(loss.per_step, several, HORIZON) is None
+    with loss.penalised(lambda states: states.mean[..., 0]):
+        assert loss.objective(loss.per_step, START, HORIZON) is None
+    own = make_kl(0, prediction=lambda *given: predict_trajectory(*given))
+    assert own.objective(own.per_step, START, HORIZON) is None
 
 
 def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:

@@ -25,7 +25,7 @@ from tests.helpers.short_run import PD_MOVEMENTS, short_experiment
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
-from torch_pmil.gp.lbfgs import minimise
+from torch_pmil.gp.lbfgs import minimise_function
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.training import make_trainer
@@ -225,9 +225,9 @@ def test_optimiser_of_the_method_does_every_search(monkeypatch: pytest.MonkeyPat
 
     def recorded(*arguments: object, optimizer: object, **options: object) -> object:
         given.append(optimizer)
-        return minimise(*arguments, optimizer=optimizer, **options)
+        return minimise_function(*arguments, optimizer=optimizer, **options)
 
-    monkeypatch.setattr(policy_search, "minimise", recorded)
+    monkeypatch.setattr(policy_search, "minimise_function", recorded)
     learned(trials=1, method=Method(optimizer=adam))
     assert given == [adam] * len(given) and len(given) > 1
 

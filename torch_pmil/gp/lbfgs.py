@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -70,27 +70,45 @@ def minimise(
         [1.0, 1.0]
     """
     variables = list(parameters)
-    sizes = [variable.numel() for variable in variables]
+    best, result = minimise_function(
+        in_one_vector(variables),
+        differentiated(variables, objective),
+        max_iterations,
+        survives,
+        tolerance_grad,
+        tolerance_change,
+        optimizer,
+    )
+    set_to(variables, best)
+    return result
 
-    def set_to(point: Tensor) -> None:
-        parts = point.split(sizes)
-        restore(variables, [part.view_as(v) for part, v in zip(parts, variables, strict=True)])
 
-    def differentiated(point: Tensor) -> tuple[float, Tensor]:
+def differentiated(
+    variables: Sequence[nn.Parameter], objective: Callable[[], Tensor]
+) -> Callable[[Tensor], tuple[float, Tensor]]:
+    """A scalar with a graph as a function of one vector (D,) that knows its gradient."""
+
+    def function(point: Tensor) -> tuple[float, Tensor]:
         with torch.inference_mode(False):
-            set_to(point)
+            set_to(variables, point)
             loss = objective()
             gradients = torch.autograd.grad(
                 loss, variables, allow_unused=True, materialize_grads=True
             )
-            return loss.item(), torch.cat([gradient.flatten() for gradient in gradients])
+            return loss.item(), in_one_vector(gradients)
 
-    start = torch.cat([variable.detach().flatten() for variable in variables])
-    best, result = minimise_function(
-        start, differentiated, max_iterations, survives, tolerance_grad, tolerance_change, optimizer
-    )
-    set_to(best)
-    return result
+    return function
+
+
+def in_one_vector(variables: Sequence[Tensor]) -> Tensor:
+    """The entries of tensors one after the other, (D,), without a graph."""
+    return torch.cat([variable.detach().flatten() for variable in variables])
+
+
+def set_to(variables: Sequence[nn.Parameter], point: Tensor) -> None:
+    """Set parameters to the parts of one vector, and forget their gradients."""
+    parts = point.split([variable.numel() for variable in variables])
+    restore(variables, [part.view_as(v) for part, v in zip(parts, variables, strict=True)])
 
 
 def minimise_function(
@@ -194,7 +212,7 @@ class _Guard:
 
 
 @torch.no_grad()
-def restore(parameters: list[nn.Parameter], values: list[Tensor]) -> None:
+def restore(parameters: Sequence[nn.Parameter], values: Sequence[Tensor]) -> None:
     """Set parameters to given values, and forget their gradients."""
     for parameter, value in zip(parameters, values, strict=True):
         parameter.copy_(value)

@@ -244,6 +244,16 @@ def _mean_trajectory(
     return torch.stack(states, -2)
 
 
+def compiled_plan(
+    initial: Gaussian, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int
+) -> Plan | None:
+    """What the kernels predict from one belief, mean (D,), if they do."""
+    start, controller = initial.flattened, policy.controller
+    if initial.batch_shape or not _compiled(start.mean, start.cov, controller, dynamics, space):
+        return None
+    return _plan(controller, dynamics, space, horizon)
+
+
 def _compiled(
     mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
 ) -> bool:

@@ -13,7 +13,15 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.gp.lbfgs import MakeOptimizer, MinimiseResult, NotFiniteError, minimise, restore
+from torch_pmil.gp.lbfgs import (
+    MakeOptimizer,
+    MinimiseResult,
+    NotFiniteError,
+    in_one_vector,
+    minimise_function,
+    restore,
+    set_to,
+)
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.reparameterisation import ReparameterisedLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -181,13 +189,15 @@ class SearchRuns:
     ) -> None:
         """Minimise the sum of the steps up to a horizon by one run of the optimiser."""
         reparameterised = ReparameterisedLoss(self.loss)
-        result = minimise(
-            reparameterised.variables,
-            lambda: reparameterised.total(per_step, self.initial, horizon),
+        variables = reparameterised.variables
+        best, result = minimise_function(
+            in_one_vector(variables),
+            reparameterised.as_function(per_step, self.initial, horizon),
             iterations,
             survives=(PredictionError, NotPositiveDefiniteError),
             optimizer=self.optimizer,
         )
+        set_to(variables, best)
         self.runs.append(result)
         reparameterised.write()
         self.report(f"{name} {horizon}/{self.loss.horizon}", result.loss)

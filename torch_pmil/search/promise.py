@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import beta
+from scipy.special import betaincinv
 from torch import Tensor
 
 from torch_pmil.checks import check_positive
@@ -42,7 +42,7 @@ class PredictedSuccess:
         if not self.successes:
             return 0.0
         failures = SAMPLES - self.successes
-        return float(beta.ppf(1 - CONFIDENCE, self.successes, failures + 1))
+        return float(betaincinv(self.successes, failures + 1, 1 - CONFIDENCE))
 
 
 @dataclass(frozen=True, eq=False)

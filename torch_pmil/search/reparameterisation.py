@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import differentiated, in_one_vector
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 NOISE_VARIANCE = 0.1  # noise variance of the values; the basis functions are at most 1
@@ -59,12 +60,40 @@ class ReparameterisedLoss(nn.Module):
     ) -> Tensor:
         """:meth:`forward` with the weights that the values give: a function of the variables."""
         arguments = per_step, initial, horizon
-        return functional_call(self, {WEIGHTS: self._weights()}, arguments, tie_weights=False)
+        weights = self._weights(self.values)
+        return functional_call(self, {WEIGHTS: weights}, arguments, tie_weights=False)
+
+    def as_function(
+        self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
+    ) -> Callable[[Tensor], tuple[float, Tensor]]:
+        """:meth:`total` as a function of all variables in one vector that knows its gradient.
+
+        Kernels compute it without a graph if they serve the loss; where they have no answer, the
+        formulas give it, or say why there is none.
+        """
+        by_formulas = differentiated(self.variables, lambda: self.total(per_step, initial, horizon))
+        objective = self.loss.objective(per_step, initial, horizon)
+        if objective is None:
+            return by_formulas
+        shapes = [variable.shape for variable in self.variables]
+        sizes = [shape.numel() for shape in shapes]
+
+        def function(point: Tensor) -> tuple[float, Tensor]:
+            parts = zip(point.split(sizes), shapes, strict=True)
+            centres, values, log_widths = (part.view(shape) for part, shape in parts)
+            found = objective((centres, self._weights(values), log_widths))
+            if found is None:
+                return by_formulas(point)
+            loss, (of_centres, of_weights, of_log_widths) = found
+            of_values = torch.cholesky_solve(of_weights.mT[..., None], self.root)
+            return loss, in_one_vector((of_centres, of_values, of_log_widths))
+
+        return function
 
     @torch.no_grad()
     def write(self) -> None:
         """Give the policy the weights that follow from the values."""
-        self.loss.actor_network.weights.copy_(self._weights())
+        self.loss.actor_network.weights.copy_(self._weights(self.values))
 
-    def _weights(self) -> Tensor:
-        return torch.cholesky_solve(self.values, self.root)[..., 0].mT
+    def _weights(self, values: Tensor) -> Tensor:
+        return torch.cholesky_solve(values, self.root)[..., 0].mT

@@ -20,9 +20,14 @@ from torch_pmil.control.rbf_policy import Policy, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.compiled import kernels, serves
-from torch_pmil.model.compiled.plans import Comparison
+from torch_pmil.model.compiled.plans import Comparison, Objective
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
+from torch_pmil.model.rollout import (
+    PredictionError,
+    compiled_plan,
+    predict_mean_trajectory,
+    predict_trajectory,
+)
 
 Reduction = Literal["none", "mean", "sum"]
 Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
@@ -171,6 +176,37 @@ class TrajectoryLoss(LossModule):
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Loss by which a search trusts each predicted marginal, the cost; (*batch, horizon)."""
         return self.per_step(initial, horizon)
+
+    def objective(
+        self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
+    ) -> Objective | None:
+        """The sum of one of its methods as kernels compute it, without a graph.
+
+        None if they do not: of a loss with a prediction or a comparison of its own, for several
+        start beliefs, or with a penalty.
+        """
+        method, of_class = getattr(per_step, "__func__", None), type(self)
+        mean_alone = method is TrajectoryLoss.mean_per_step
+        plain = (
+            (mean_alone or (method is TrajectoryLoss.per_step and self._penalty is None))
+            and type(self.actor_network) is RBFPolicy
+            and of_class.begin is TrajectoryLoss.begin
+            and of_class.predict_states is TrajectoryLoss.predict_states
+            and self.prediction is predict_trajectory
+            and self.mean_prediction is predict_mean_trajectory
+        )
+        comparison = self._comparison(horizon) if plain else None
+        if comparison is None or not serves(comparison.tensors, ()):
+            return None
+        with torch.no_grad():
+            plan = compiled_plan(initial, self.actor_network, self.dynamics, self.space, horizon)
+        if plan is None:
+            return None
+        try:
+            scale = self.actor_network.scale
+            return kernels().Objective(plan, comparison, initial, scale, mean_alone)
+        except NotPositiveDefiniteError:  # the formulas name what is wrong with the demonstrations
+            return None
 
     @contextmanager
     def penalised(self, penalty: Penalty) -> Iterator[None]:

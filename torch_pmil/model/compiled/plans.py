@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -42,3 +43,9 @@ class Comparison:
         """What kernels have no gradient in."""
         parts = self.matrix, self.offset, self.noise, self.demonstrated
         return [part for part in parts if part is not None]
+
+
+# centres (m, D'), weights (m, F) and log widths (F, D') of a policy, or gradients in these
+Parameters = tuple[Tensor, Tensor, Tensor]
+# a sum of costs and its gradients; None where the formulas must say what is wrong
+Objective = Callable[[Parameters], tuple[float, Parameters] | None]

@@ -1,0 +1,135 @@
+"""The cost of a trajectory and its gradient in the policy, without a graph.
+
+What does not change in a search, such as the model and what is compared, is packed once.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import Gaussian, symmetric
+from torch_pmil.model.compiled.arrays import NetworkGradient
+from torch_pmil.model.compiled.costs import CostWork, write_costs, write_costs_of_means
+from torch_pmil.model.compiled.mean_trajectory import (
+    MeanTape,
+    MeanWork,
+    adjoint_of_mean,
+    predict_mean,
+)
+from torch_pmil.model.compiled.packing import (
+    array,
+    determinants_of,
+    observation_of,
+    robots_of,
+    roots_of,
+)
+from torch_pmil.model.compiled.plans import Comparison, Parameters, Plan
+from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, predict
+from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
+
+
+class Costs(Protocol):
+    """Costs of the steps of a robot's trajectory."""
+
+    def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
+        """Costs (T,), whose gradient in the network is added; None if they cannot be computed."""
+
+
+class Objective:
+    """Sum of the costs of T steps from one belief, as a function of a policy's parameters.
+
+    Args:
+        plan: of the prediction.
+        comparison: what the states are compared with.
+        start: p(x_0), mean (D,).
+        scale: of the policy's inputs, (D',).
+        mean_alone: whether the trajectory is that of the model's mean.
+    """
+
+    def __init__(
+        self, plan: Plan, comparison: Comparison, start: Gaussian, scale: Tensor, mean_alone: bool
+    ) -> None:
+        (robot,) = robots_of(plan, plan.controller.parameters, 1)
+        self.network, self.scale = robot.network, array(scale)
+        self.gradient = NetworkGradient.zero(robot.network)
+        of_trajectory = CostsOfMeans if mean_alone else CostsOfBeliefs
+        self.costs: Costs = of_trajectory(robot, comparison, start, plan.horizon)
+
+    def __call__(self, parameters: Parameters) -> tuple[float, Parameters] | None:
+        """The sum and its gradients; None where the formulas must say what is wrong."""
+        inputs, weights, squares = self.network[:3]
+        centres, of_centres, widths = map(array, (*parameters[:2], parameters[2].exp()))
+        m, scaled = len(centres), widths * self.scale
+        inputs[:, :m] = (centres * self.scale).T
+        weights[:, :m] = of_centres.T
+        squares[:] = np.square(scaled)
+        for each in self.gradient:
+            each.fill(0.0)
+        costs = self.costs(self.gradient)
+        if costs is None or not np.isfinite(costs).all():
+            return None
+        of_inputs, of_weights, of_squares = self.gradient
+        gradients = (
+            torch.from_numpy(of_inputs[:, :m].T * self.scale),
+            torch.from_numpy(of_weights[:, :m].T.copy()),
+            torch.from_numpy(2 * scaled * of_squares * self.scale * widths),
+        )
+        return torch.from_numpy(costs).sum().item(), gradients
+
+
+class CostsOfBeliefs:
+    """Costs of predicted marginals."""
+
+    def __init__(self, robot: Robot, comparison: Comparison, start: Gaussian, T: int) -> None:
+        D, self.robot = len(start.mean), robot
+        self.tape, self.work = Tape.of(robot, T), StepWork.of(robot)
+        self.tape.mean[0], self.tape.cov[0] = array(start.mean), array(symmetric(start.cov))
+        self.observation = observation_of(comparison, (T,))
+        self.demonstrated = determinants_of(comparison, (T,))
+        self.cost_work = CostWork.of(self.observation)
+        self.out = np.empty(T), np.empty((T, D)), np.empty((T, D, D))
+        self.back, self.of_start = Cotangents.of(robot), (np.empty(D), np.empty((D, D)))
+
+    def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
+        """As in :class:`Costs`."""
+        tape, (costs, d_mean, d_cov) = self.tape, self.out
+        if predict(self.robot, tape, self.work):
+            return None
+        if not (np.isfinite(tape.mean).all() and np.isfinite(tape.cov).all()):
+            return None
+        of_states = tape.mean[1:], tape.cov[1:], self.cost_work
+        if write_costs(self.observation, *self.demonstrated, *of_states, *self.out):
+            return None
+        d_cov = (d_cov + d_cov.transpose(0, 2, 1)) / 2
+        works = self.work, self.back
+        adjoint(self.robot, tape, d_mean, d_cov, *works, *self.of_start, gradient)
+        return costs
+
+
+class CostsOfMeans:
+    """Costs of the states of the model's mean."""
+
+    def __init__(self, robot: Robot, comparison: Comparison, start: Gaussian, T: int) -> None:
+        D, self.robot = len(start.mean), robot
+        self.tape = MeanTape.of(robot, T)
+        self.tape.states[0] = array(start.mean)
+        self.works = MeanWork.of(robot.model), MeanWork.of(robot.network)
+        self.observation, self.roots = observation_of(comparison, (T,)), roots_of(comparison, (T,))
+        self.saturating = comparison.demonstrated is None
+        self.cost_work = CostWork.of(self.observation)
+        self.out = np.empty(T), np.empty((T, D))
+        self.scratch = np.empty(len(robot.model.inputs)), np.empty(D), np.empty(D)
+
+    def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
+        """As in :class:`Costs`."""
+        costs, d_states = self.out
+        predict_mean(self.robot, self.tape, *self.works)
+        states = self.tape.states[1:]
+        of_costs = states, self.saturating, self.cost_work
+        write_costs_of_means(self.observation, self.roots, *of_costs, *self.out)
+        adjoint_of_mean(self.robot, self.tape, d_states, *self.works, *self.scratch, gradient)
+        return costs

@@ -66,8 +66,9 @@ def options_of_command_line() -> argparse.Namespace:
     parser.add_argument(
         "--against",
         type=Path,
-        metavar="FOLDER",
-        help="of other runs, with which those of the same task and seed are compared",
+        metavar="PATH",
+        help="folder of other runs, or their summary.json, with which those of the same task and "
+        "seed are compared",
     )
     options = parser.parse_args()
     if options.runs < 1:

@@ -10,6 +10,7 @@ from scipy import stats
 
 from reproduction.soak.processes import attempts_in
 from reproduction.soak.results import Row, cpu_seconds_of, outcome_of
+from torch_pmil.files import read_json
 from torch_pmil.runs.summaries import CONFIDENCE, RunError, read_summary
 
 QUANTITIES = ("experience_s", "wall_seconds", "cpu_seconds", "trials", "saved_success_rate")
@@ -21,9 +22,13 @@ Outcomes = Mapping[tuple[str, int], Row]
 def outcomes_in(root: Path) -> dict[tuple[str, int], Row]:
     """Outcomes of the finished runs in the folders of the tasks below a folder, by task and seed.
 
+    The ``summary.json`` of a soak gives those that are written there.
+
     Raises:
         RunError: there is none, or one is damaged.
     """
+    if root.is_file():
+        return {(row["task"], row["seed"]): row for row in read_json(root)["runs"]}
     folders = [path.parent for path in sorted(root.glob("*/seed_*/summary.json"))]
     if not folders:
         raise RunError(f"{root} must hold runs as TASK/seed_N/summary.json, got none")

@@ -230,6 +230,10 @@ def test_runs_are_paired_by_task_and_seed(tmp_path: Path) -> None:
     assert experience == expected | {"lower": -15.0, "upper": -5.0}
     assert numbers["all"]["cpu_seconds"] == {"pairs": 0}  # ours are not known
     assert compared({}, outcomes_in(tmp_path))["all"]["experience_s"] == {"pairs": 0}
+    rows = [{"task": "double_pendulum", "seed": seed, "experience_s": 20.0} for seed in (1, 2)]
+    (tmp_path / "soak.json").write_text(json.dumps({"runs": rows}))
+    of_summary = compared(ours, outcomes_in(tmp_path / "soak.json"))["all"]["experience_s"]
+    assert (of_summary["pairs"], of_summary["difference"]) == (1, -5.0)
 
 
 def test_interval_covers_the_true_difference_as_often_as_it_says() -> None:

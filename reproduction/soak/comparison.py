@@ -36,7 +36,7 @@ def outcomes_in(root: Path) -> dict[tuple[str, int], Row]:
     for folder in folders:
         summary, cpu_seconds = read_summary(folder), cpu_seconds_of(attempts_in(folder))
         outcome = {**outcome_of(summary), "cpu_seconds": cpu_seconds}
-        outcomes[summary["experiment"], summary["seed"]] = outcome
+        outcomes[folder.parent.name, summary["seed"]] = outcome
     return outcomes
 
 

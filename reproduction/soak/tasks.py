@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from itertools import count, islice
 from pathlib import Path
 
-from reproduction.handwriting import SHAPES, written
+from reproduction.handwriting import SHAPES
 from reproduction.soak.processes import Job
 from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.strokes import lasa_strokes
 from torch_pmil.tasks.task import Task
 
 ROBOT = "double_pendulum"  # which writes
@@ -36,7 +37,7 @@ class SoakTask:
 
     @property
     def name(self) -> str:
-        """Name of the experiment in summaries."""
+        """Name of the folder of its runs, and in the results."""
         return f"handwriting_{self.shape}_{ROBOT}" if self.shape else self.experiment
 
     @property
@@ -47,7 +48,7 @@ class SoakTask:
 
     def load(self) -> Task:
         """The experiment; raises ImportError where the LASA set is not installed."""
-        return written(self.shape) if self.shape else load_experiment(self.experiment)
+        return load_experiment(self.experiment, lasa_strokes(self.shape) if self.shape else None)
 
 
 TASKS = (

@@ -142,7 +142,7 @@ def total(typing: Any, values: Any) -> Emitter:
 
 @intrinsic
 def exponential(typing: Any, exponents: Any) -> Emitter:
-    """e^x of eight numbers, within 2 ulp; 3e-308 below -708, not finite beyond the largest double."""
+    """e^x of eight numbers, within 2 ulp; 3e-308 below -708, not finite where it overflows."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         (x,) = arguments

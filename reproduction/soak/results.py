@@ -39,7 +39,7 @@ def measure(run: SoakRun) -> float:
     """
     path = run.folder / MEASURED
     if not path.is_file():
-        experiment = run.task.load()
+        experiment = run.load()
         policy = load_learned(run.folder, experiment).policy
         rate = measured_success(policy, experiment, STARTS, START_SEED + run.seed)
         write_json(path, {"success_rate": rate, "starts": STARTS})
@@ -58,7 +58,7 @@ def replay(run: SoakRun) -> dict[str, Any]:
     """
     path = run.folder / REPLAYED
     if not path.is_file():
-        write_json(path, replayed(run.folder, run.task.load(), SAMPLES))
+        write_json(path, replayed(run.folder, run.load(), SAMPLES))
     return read_json(path)
 
 

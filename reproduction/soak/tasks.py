@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, islice
 from pathlib import Path
 
-from reproduction.handwriting import SHAPES
+from reproduction.handwriting import SHAPES, written
 from reproduction.soak.processes import Job
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.strokes import lasa_strokes
 from torch_pmil.tasks.task import Task
 
 ROBOT = "double_pendulum"  # which writes
@@ -48,7 +47,7 @@ class SoakTask:
 
     def load(self) -> Task:
         """The experiment; raises ImportError where the LASA set is not installed."""
-        return load_experiment(self.experiment, lasa_strokes(self.shape) if self.shape else None)
+        return written(self.shape) if self.shape else load_experiment(self.experiment)
 
 
 TASKS = (
@@ -73,6 +72,10 @@ class SoakRun:
     task: SoakTask
     seed: int
     folder: Path
+
+    def load(self) -> Task:
+        """The task as ``pmil train`` learns and names it; errors as in :meth:`SoakTask.load`."""
+        return replace(self.task.load(), name=self.task.experiment)
 
     @property
     def job(self) -> Job:

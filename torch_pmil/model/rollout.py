@@ -249,7 +249,7 @@ def compiled_plan(
 ) -> Plan | None:
     """What the kernels predict from one belief, mean (D,), if they do."""
     start, controller = initial.flattened, policy.controller
-    if initial.batch_shape or not _compiled(start.mean, start.cov, controller, dynamics, space):
+    if not _compiled(start.mean, start.cov, controller, dynamics, space):
         return None
     return _plan(controller, dynamics, space, horizon)
 

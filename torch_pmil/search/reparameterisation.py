@@ -68,8 +68,8 @@ class ReparameterisedLoss(nn.Module):
     ) -> Callable[[Tensor], tuple[float, Tensor]]:
         """:meth:`total` as a function of all variables in one vector that knows its gradient.
 
-        Kernels compute it without a graph if they serve the loss; where they have no answer, the
-        formulas give it, or say why there is none.
+        Kernels compute it without a graph if they serve the loss. Where they fail, the formulas
+        compute it, or name what is wrong.
         """
         by_formulas = differentiated(self.variables, lambda: self.total(per_step, initial, horizon))
         objective = self.loss.objective(per_step, initial, horizon)

@@ -188,15 +188,16 @@ class TrajectoryLoss(LossModule):
         method, of_class = getattr(per_step, "__func__", None), type(self)
         mean_alone = method is TrajectoryLoss.mean_per_step
         plain = (
-            (mean_alone or (method is TrajectoryLoss.per_step and self._penalty is None))
+            not initial.batch_shape
+            and (mean_alone or (method is TrajectoryLoss.per_step and self._penalty is None))
             and type(self.actor_network) is RBFPolicy
             and of_class.begin is TrajectoryLoss.begin
             and of_class.predict_states is TrajectoryLoss.predict_states
             and self.prediction is predict_trajectory
             and self.mean_prediction is predict_mean_trajectory
         )
-        comparison = self._comparison(horizon) if plain else None
-        if comparison is None or not serves(comparison.tensors, ()):
+        comparison = self._served(initial.mean.expand(horizon, -1)) if plain else None
+        if comparison is None:
             return None
         with torch.no_grad():
             plan = compiled_plan(initial, self.actor_network, self.dynamics, self.space, horizon)
@@ -204,7 +205,7 @@ class TrajectoryLoss(LossModule):
             return None
         try:
             scale = self.actor_network.scale
-            return kernels().Objective(plan, comparison, initial, scale, mean_alone)
+            return kernels().PolicyObjective(plan, comparison, initial, scale, mean_alone)
         except NotPositiveDefiniteError:  # the formulas name what is wrong with the demonstrations
             return None
 

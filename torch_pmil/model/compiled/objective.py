@@ -5,8 +5,6 @@ What does not change in a search, such as the model and what is compared, is pac
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -32,14 +30,7 @@ from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, predict
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
 
 
-class Costs(Protocol):
-    """Costs of the steps of a robot's trajectory."""
-
-    def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
-        """Costs (T,), whose gradient in the network is added; None if they cannot be computed."""
-
-
-class Objective:
+class PolicyObjective:
     """Sum of the costs of T steps from one belief, as a function of a policy's parameters.
 
     Args:
@@ -57,7 +48,7 @@ class Objective:
         self.network, self.scale = robot.network, array(scale)
         self.gradient = NetworkGradient.zero(robot.network)
         of_trajectory = CostsOfMeans if mean_alone else CostsOfBeliefs
-        self.costs: Costs = of_trajectory(robot, comparison, start, plan.horizon)
+        self.costs = of_trajectory(robot, comparison, start, plan.horizon)
 
     def __call__(self, parameters: Parameters) -> tuple[float, Parameters] | None:
         """The sum and its gradients; None where the formulas must say what is wrong."""
@@ -95,7 +86,7 @@ class CostsOfBeliefs:
         self.back, self.of_start = Cotangents.of(robot), (np.empty(D), np.empty((D, D)))
 
     def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
-        """As in :class:`Costs`."""
+        """Costs (T,), whose gradient in the network is added; None if they cannot be computed."""
         tape, (costs, d_mean, d_cov) = self.tape, self.out
         if predict(self.robot, tape, self.work):
             return None
@@ -104,7 +95,7 @@ class CostsOfBeliefs:
         of_states = tape.mean[1:], tape.cov[1:], self.cost_work
         if write_costs(self.observation, *self.demonstrated, *of_states, *self.out):
             return None
-        d_cov = (d_cov + d_cov.transpose(0, 2, 1)) / 2
+        d_cov = array(symmetric(torch.from_numpy(d_cov)))
         works = self.work, self.back
         adjoint(self.robot, tape, d_mean, d_cov, *works, *self.of_start, gradient)
         return costs
@@ -124,8 +115,8 @@ class CostsOfMeans:
         self.out = np.empty(T), np.empty((T, D))
         self.scratch = np.empty(len(robot.model.inputs)), np.empty(D), np.empty(D)
 
-    def __call__(self, gradient: NetworkGradient) -> np.ndarray | None:
-        """As in :class:`Costs`."""
+    def __call__(self, gradient: NetworkGradient) -> np.ndarray:
+        """As in :class:`CostsOfBeliefs`; they are always computed."""
         costs, d_states = self.out
         predict_mean(self.robot, self.tape, *self.works)
         states = self.tape.states[1:]

@@ -22,7 +22,7 @@ from torch_pmil.model.compiled.mean_trajectory import (
     adjoint_of_mean,
     predict_mean,
 )
-from torch_pmil.model.compiled.objective import Objective as Objective
+from torch_pmil.model.compiled.objective import PolicyObjective as PolicyObjective
 from torch_pmil.model.compiled.packing import (
     array,
     determinants_of,

@@ -78,6 +78,7 @@ class Workspace(NamedTuple):
     shares: Array2  # of both outputs in a pair, and (Lambda_a + Lambda_b)^-1, (3, D)
     small: Array3  # scratch, (6, D, D)
     vectors: Array2  # scratch, (4, D)
+    strip: Array2  # four rows of Q, (4, n)
     # of tied outputs
     columns: Array2  # weights, (n, E)
     sums: Array2  # scratch, (E, 8)
@@ -91,7 +92,7 @@ class Workspace(NamedTuple):
         tied = ((n, E), (E, WIDTH), (E, n), (n, n)) if f.tied else 4 * ((0, 0),)
         shapes = (
             *((D, n), (n, D + 1), (D, n), (n,), (n,), (D + 1, n), (n,), (D, n), (D, n)),
-            *((n,), (3, D), (6, D, D), (4, D), *tied),
+            *((n,), (3, D), (6, D, D), (4, D), (4, n), *tied),
         )
         return cls(*(zeros(*shape) for shape in shapes))
 

@@ -9,20 +9,27 @@ from __future__ import annotations
 from math import isnan, sqrt
 
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
-from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs, sum_tied_pairs
+from torch_pmil.model.compiled.building import Array1, Array2, Array4, Kernel, compiled, part
+from torch_pmil.model.compiled.pair_sums import (
+    sum_own_pairs,
+    sum_pairs,
+    sum_pairs_both_ways,
+    sum_tied_pairs,
+)
 from torch_pmil.model.compiled.small_matrices import invert, product, times_vector
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
+    fill,
     multiply_entries,
     outer_sums,
     scale_columns,
     sum_entries,
     sum_products,
     transform,
-    write_exponentials,
     write_forms,
+    write_powers,
 )
+from torch_pmil.model.compiled.vectors import LOG2_E
 
 
 @Kernel
@@ -85,7 +92,7 @@ def _match_one(f: Functions, a: int, cov: Array2, record: Record, t: int, work: 
         return False
     transform(B, nu, work.moved)
     write_forms(nu, work.moved, f.log_signal[a] - half_log_det, exponents)
-    write_exponentials(exponents, q)
+    write_powers(exponents, q)
     record.total[t, a] = sum_products(beta, q)
     multiply_entries(beta, q, weighted)
     for d in range(len(nu)):
@@ -121,7 +128,7 @@ def _match_pairs(
     """E[f_a f_b] of all pairs of outputs; False where the covariance is not valid."""
     gp = len(f.own_weights) > 0
     for a in range(len(seconds)):
-        for b in range(a if gp else 0, len(seconds)):
+        for b in range(a, len(seconds)):
             B = record.pair_precision[t, a, b]
             half_log_det = _pair_precision(f.squares[a], f.squares[b], cov, work, B)
             if isnan(half_log_det):
@@ -131,7 +138,7 @@ def _match_pairs(
                 gradient, hessian = record.gradient[t, a, b], record.hessian[t, a, b]
                 second = _match_pair_of_gp(f, a, b, B, work, gradient, hessian)
             else:
-                second = _match_pair_of_network(f, a, b, work, record.products[t, a, b])
+                second = _match_pair_of_network(f, a, b, work, record.products[t])
             seconds[a, b] = seconds[b, a] = second
     return True
 
@@ -172,12 +179,12 @@ def _pair_precision(of_a: Array1, of_b: Array1, cov: Array2, work: Workspace, B:
 def write_exponents(
     f: Functions, a: int, b: int, B: Array2, half_log_det: float, work: Workspace
 ) -> None:
-    """Exponents of a pair of outputs into ``work``, which has their shares."""
+    """Exponents of two, of a pair of outputs, into ``work``, which has their shares."""
     nu, moved, small, shares = work.nu, work.moved, work.small, work.shares
     constants = f.log_signal[a] - half_log_det / 2, f.log_signal[b] - half_log_det / 2
     _write_terms(shares[0], B, shares[2], constants[0], nu, small[0], moved, work.f)
     _write_terms(shares[1], B, shares[2], constants[1], nu, small[0], moved, work.g)
-    cross_form(shares[0], B, shares[1], shares[2], -1.0, small[0])
+    cross_form(shares[0], B, shares[1], shares[2], -LOG2_E, small[0])
     transform(small[0], nu, work.right)
 
 
@@ -192,7 +199,7 @@ def _write_terms(
     moved: Array2,
     out: Array1,
 ) -> None:
-    """Write a constant less half the forms nu_i' (S B S + D) nu_i into ``out``."""
+    """Write a constant less half the forms nu_i' (S B S + D) nu_i, as exponents of two."""
     own_form(share, B, distance, 1.0, form)
     transform(form, nu, moved)
     write_forms(nu, moved, constant, out)
@@ -209,32 +216,37 @@ def write_shares(squares: Array1, others: Array1, shares: Array2) -> None:
 
 @compiled
 def cross_form(
-    of_a: Array1, B: Array2, of_b: Array1, distance: Array1, sign: float, out: Array2
+    of_a: Array1, B: Array2, of_b: Array1, distance: Array1, factor: float, out: Array2
 ) -> None:
-    """Write sign (S_a B S_b - D) into ``out``; of the diagonal matrices S, D the diagonals come."""
+    """Write a factor times (S_a B S_b - D) into ``out``; S and D come as their diagonals."""
     for d in range(len(B)):
         for e in range(len(B)):
-            out[d, e] = sign * of_a[d] * B[d, e] * of_b[e]
-        out[d, d] -= sign * distance[d]
+            out[d, e] = factor * of_a[d] * B[d, e] * of_b[e]
+        out[d, d] -= factor * distance[d]
 
 
 @compiled
-def own_form(share: Array1, B: Array2, distance: Array1, sign: float, out: Array2) -> None:
-    """Write sign (S B S + D) into ``out``; of the diagonal matrices S and D the diagonals come."""
+def own_form(share: Array1, B: Array2, distance: Array1, factor: float, out: Array2) -> None:
+    """Write a factor times (S B S + D) into ``out``; S and D come as their diagonals."""
     for d in range(len(B)):
         for e in range(len(B)):
-            out[d, e] = sign * share[d] * B[d, e] * share[e]
-        out[d, d] += sign * distance[d]
+            out[d, e] = factor * share[d] * B[d, e] * share[e]
+        out[d, d] += factor * distance[d]
 
 
 @part
 def _match_pair_of_network(
-    f: Functions, a: int, b: int, work: Workspace, products: Array2
+    f: Functions, a: int, b: int, work: Workspace, products: Array4
 ) -> float:
-    """E[f_a f_b] of a network, and sum_i w_i [nu_i, 1] Q_ij into ``products``."""
-    w, z = f.weights[a], f.weights[b]
-    sum_pairs(work.points, work.right, work.f, work.g, w, z, products, work.rows)
-    return sum_products(z, products[len(products) - 1])
+    """E[f_a f_b] of a network, and sum_i w_i [nu_i, 1] Q_ij of (a, b), (b, a) into ``products``."""
+    w, z, scaled, D = f.weights[a], f.weights[b], work.left, len(work.nu)
+    scale_columns(work.nu, z, scaled)
+    fill(scaled[D], 0.0)
+    add_multiple(1.0, z, scaled[D])
+    exponents = work.points, work.right, work.f, work.g
+    of_columns, of_rows = products[a, b], products[b, a]
+    sum_pairs_both_ways(*exponents, w, scaled, a == b, work.strip, of_columns, of_rows)
+    return sum_products(z, of_columns[D])
 
 
 @part

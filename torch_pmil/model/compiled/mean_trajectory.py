@@ -15,9 +15,10 @@ from torch_pmil.model.compiled.thin_products import (
     fill,
     multiply_entries,
     sum_products,
-    write_exponentials,
+    write_powers,
 )
 from torch_pmil.model.compiled.trajectory import Robot
+from torch_pmil.model.compiled.vectors import LOG2_E
 
 
 class MeanTape(NamedTuple):
@@ -81,10 +82,10 @@ def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: M
 def _value(f: Functions, a: int, work: MeanWork) -> float:
     """Function a at the point; its kernel stays in ``work``."""
     nu, exponents, squares = work.nu, work.exponents, f.squares[a]
-    fill(exponents, f.log_signal[a])
+    fill(exponents, LOG2_E * f.log_signal[a])
     for d in range(len(nu)):
-        add_squares(-0.5 / squares[d], nu[d], exponents)
-    write_exponentials(exponents, work.kernel)
+        add_squares(-0.5 * LOG2_E / squares[d], nu[d], exponents)
+    write_powers(exponents, work.kernel)
     return f.offset[a] + sum_products(f.weights[a], work.kernel)
 
 

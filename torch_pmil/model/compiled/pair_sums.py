@@ -1,7 +1,7 @@
 r"""Sums of the exponentials Q_ij of all pairs of data (Eq. 17): the O(n^2) work of a prediction.
 
-With :math:`\log Q_{ij} = f_i + g_j + \nu_i^\top r_j`, four rows and eight columns of Q at a time
-stay in registers.
+With :math:`\log_2 Q_{ij} = f_i + g_j + \nu_i^\top r_j`, four rows and eight columns of Q at a time
+stay in registers. A power of two takes three multiplications less than one of e.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from torch_pmil.model.compiled.thin_products import fill
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
     add,
-    exponential,
     load,
     multiply,
     multiply_add,
+    power_of_two,
     splat,
     spread,
     store,
@@ -42,7 +42,7 @@ def _exponentials(
     of_j = load(g, j)
     q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
     q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
-    return exponential(q0), exponential(q1), exponential(q2), exponential(q3)
+    return power_of_two(q0), power_of_two(q1), power_of_two(q2), power_of_two(q3)
 
 
 @part
@@ -95,6 +95,66 @@ def sum_pairs(
             q2, q3 = multiply(q2, spread(w, i + 2)), multiply(q3, spread(w, i + 3))
             _add_columns(points, i, j, q0, q1, q2, q3, left)
         rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)
+
+
+@part
+def _add_rows(strip: Array2, scaled: Array2, i: int, start: int, out: Array2) -> None:
+    """Add Q, of the rows i to i + 3 and the columns from ``start`` on, times ``scaled``."""
+    n = out.shape[1]
+    for d in range(len(out)):
+        s0 = s1 = s2 = s3 = splat(0.0)
+        for j in range(start, n, WIDTH):
+            factor = load(scaled, d * n + j)
+            s0 = multiply_add(load(strip, j), factor, s0)
+            s1 = multiply_add(load(strip, n + j), factor, s1)
+            s2 = multiply_add(load(strip, 2 * n + j), factor, s2)
+            s3 = multiply_add(load(strip, 3 * n + j), factor, s3)
+        out[d, i] += total(s0)
+        out[d, i + 1] += total(s1)
+        out[d, i + 2] += total(s2)
+        out[d, i + 3] += total(s3)
+
+
+@compiled
+def sum_pairs_both_ways(
+    points: Array2,
+    right: Array2,
+    f: Array1,
+    g: Array1,
+    w: Array1,
+    scaled: Array2,
+    own: bool,
+    strip: Array2,
+    of_columns: Array2,
+    of_rows: Array2,
+) -> None:
+    """Sums over the columns and over the rows of a Q.
+
+    The Q of an output with itself is symmetric: what is below its diagonal is not computed.
+
+    Args:
+        points, right, f, g, w: as in :func:`sum_pairs`.
+        scaled: z_j [nu_j, 1], with the factors z of the columns, (D + 1, n).
+        own: whether the two outputs are the same.
+        strip: scratch, four rows of Q, (4, n).
+        of_columns: out, sum_i w_i [nu_i, 1] Q_ij, (D + 1, n).
+        of_rows: out, sum_j z_j [nu_j, 1] Q_ij, (D + 1, n); of the same output the same array.
+    """
+    n = right.shape[1]
+    fill(of_columns, 0.0)
+    fill(of_rows, 0.0)
+    for i in range(0, n, 4):
+        diagonal = i // WIDTH * WIDTH if own else -WIDTH
+        for j in range(max(0, diagonal), n, WIDTH):
+            q0, q1, q2, q3 = _exponentials(points, right, f, g, i, j)
+            store(strip, j, q0)
+            store(strip, n + j, q1)
+            store(strip, 2 * n + j, q2)
+            store(strip, 3 * n + j, q3)
+            q0, q1 = multiply(q0, spread(w, i)), multiply(q1, spread(w, i + 1))
+            q2, q3 = multiply(q2, spread(w, i + 2)), multiply(q3, spread(w, i + 3))
+            _add_columns(points, i, j, q0, q1, q2, q3, of_columns)
+        _add_rows(strip, scaled, i, diagonal + WIDTH, of_rows)
 
 
 @compiled

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from torch_pmil.model.compiled.building import Array, Array1, Array2, compiled
 from torch_pmil.model.compiled.vectors import (
+    LOG2_E,
     WIDTH,
     add,
-    exponential,
     load,
     multiply,
     multiply_add,
+    power_of_two,
     splat,
     spread,
     store,
@@ -84,20 +85,23 @@ def scale_columns(values: Array2, factors: Array1, out: Array2) -> None:
 
 @compiled
 def write_forms(nu: Array2, transformed: Array2, constant: float, out: Array1) -> None:
-    """Write a constant less half the forms nu_i' A nu_i into ``out`` (n,), A nu being known."""
+    """Write a constant less half the forms nu_i' A nu_i into ``out`` (n,), A nu being known.
+
+    They are exponents of e, and in ``out`` those of two.
+    """
     n = nu.shape[1]
     for j in range(0, n, WIDTH):
         forms = splat(0.0)
         for d in range(nu.shape[0]):
             forms = multiply_add(load(nu, d * n + j), load(transformed, d * n + j), forms)
-        store(out, j, multiply_add(splat(-0.5), forms, splat(constant)))
+        store(out, j, multiply_add(splat(-0.5 * LOG2_E), forms, splat(LOG2_E * constant)))
 
 
 @compiled
-def write_exponentials(exponents: Array1, out: Array1) -> None:
-    """Write the exponentials of (n,) numbers into ``out``."""
+def write_powers(exponents: Array1, out: Array1) -> None:
+    """Write two to the power of (n,) numbers into ``out``."""
     for j in range(0, len(out), WIDTH):
-        store(out, j, exponential(load(exponents, j)))
+        store(out, j, power_of_two(load(exponents, j)))
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Vectors of eight float64 for Numba, which LLVM lowers to AVX2, AVX-512 or NEON alike.
 
 Numba does not vectorise a loop of scalars that ends in an exponential of the C library. Here it is
-a polynomial of whole vectors, and a loop determines which numbers it keeps in registers.
+a power of two, a polynomial of whole vectors, and a loop determines which numbers it keeps in registers.
 
 Indices count the entries of a C-contiguous array from its first. The first argument of each
 function, ``typing``, is Numba's: a call leaves it out.
@@ -26,27 +26,24 @@ _DOUBLES = ir.VectorType(ir.DoubleType(), WIDTH)
 _INTEGERS = ir.VectorType(ir.IntType(64), WIDTH)
 _INDEX = ir.IntType(32)
 
-# e^r = 1 + r + r^2 p(r) for |r| <= log(2) / 2, p by interpolation at Chebyshev's points: 0.07 ulp
+# 2^r = 1 + r p(r) for |r| <= 1/2, p by interpolation at Chebyshev's points: 0.13 ulp
 _COEFFICIENTS = (
     1.0,
-    1.0,
-    0.5000000000000001,
-    0.16666666666666669,
-    0.041666666666624164,
-    0.008333333333330065,
-    0.0013888888917196719,
-    0.00019841269863040545,
-    2.4801521322368692e-05,
-    2.7557268480310024e-06,
-    2.7620075879983367e-07,
-    2.5100375832561234e-08,
+    0.6931471805599453,
+    0.24022650695910097,
+    0.0555041086648216,
+    0.009618129107606888,
+    0.0013333558146416936,
+    0.0001540353044173605,
+    1.525273382983612e-05,
+    1.321544258792169e-06,
+    1.0178062445845774e-07,
+    7.072585949269223e-09,
+    4.4549605981865186e-10,
 )
-_LOG2_E = 1.4426950408889634
-_LOG_2 = float.fromhex("0x1.62e42fefa3800p-1")  # its last eleven bits are zero
-_REST_OF_LOG_2 = float.fromhex("0x1.ef35793c76730p-45")
+LOG2_E = 1.4426950408889634
 _ROUNDER = 1.5 * 2.0**52  # a double plus this is rounded to an integer, in its last bits
-_LEAST, _LARGEST = -708.0, 709.782712893384  # of which the exponential is a normal double
-_BEYOND = 710.0  # whose power 1024 of two has the bits of no finite number
+_LEAST, _BEYOND = -1022.0, 1024.0  # least normal power of two, and the first that is no double
 
 
 class Vector(types.Type):
@@ -141,18 +138,16 @@ def total(typing: Any, values: Any) -> Emitter:
 
 
 @intrinsic
-def exponential(typing: Any, exponents: Any) -> Emitter:
-    """e^x of eight numbers, within 2 ulp; 3e-308 below -708, not finite where it overflows."""
+def power_of_two(typing: Any, exponents: Any) -> Emitter:
+    """2^x of eight numbers, within 2 ulp; 2e-308 below -1022, not finite where it overflows."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         (x,) = arguments
         for sign, bound in (("<", _LEAST), (">", _BEYOND)):  # as one instruction each; NaN stays
             beyond = builder.fcmp_ordered(sign, x, _constant(bound))
             x = builder.select(beyond, _constant(bound), x)
-        rounded = _multiply_add(builder, x, _constant(_LOG2_E), _constant(_ROUNDER))
-        power = builder.fsub(rounded, _constant(_ROUNDER))
-        rest = _multiply_add(builder, power, _constant(-_LOG_2), x)
-        rest = _multiply_add(builder, power, _constant(-_REST_OF_LOG_2), rest)
+        rounded = builder.fadd(x, _constant(_ROUNDER))
+        rest = builder.fsub(x, builder.fsub(rounded, _constant(_ROUNDER)))
         value = _constant(_COEFFICIENTS[-1])
         for coefficient in _COEFFICIENTS[-2::-1]:
             value = _multiply_add(builder, value, rest, _constant(coefficient))

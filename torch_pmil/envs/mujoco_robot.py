@@ -22,7 +22,9 @@ from torch_pmil.envs.robot import Array
 HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 Start = str | int | Sequence[float] | Tensor | None
 PICTURE = (480, 640)
-CAMERA_DISTANCE = 2.2  # from the model's centre, in its extents
+CAMERA_DISTANCE = 3.0  # from the centre of what moves, in its radii
+AMBIENT, DIFFUSE = 0.4, 0.6  # least light from the camera
+SKY, HAZE = (0.75, 0.83, 0.93), (0.95, 0.96, 0.98)
 
 
 class MujocoRobot:
@@ -237,12 +239,37 @@ def _gives(keyframe: mujoco.MjsKey) -> tuple[bool, bool]:
 
 
 def _add_camera(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Add a camera that sees the whole model from the front left and above."""
-    distance = CAMERA_DISTANCE * model.stat.extent
+    """Add a camera that sees what moves from the front left and above, light, and a bright sky.
+
+    It looks at the middle of what moves in the default pose, from far enough to see all of it
+    stretched out.
+    """
+    centre, radius = _moving(model)
+    distance = CAMERA_DISTANCE * radius
     right, up = (math.sqrt(0.5), -math.sqrt(0.5), 0.0), (-0.25, -0.25, math.sqrt(0.875))
     away = torch.linalg.cross(torch.tensor(right), torch.tensor(up)).double().numpy()
-    spec.worldbody.add_camera(
-        name="front", pos=model.stat.center + distance * away, xyaxes=[*right, *up]
-    )
-    if not spec.lights:
-        spec.worldbody.add_light(pos=model.stat.center + np.array([0, 0, distance]), dir=[0, 0, -1])
+    spec.worldbody.add_camera(name="front", pos=centre + distance * away, xyaxes=[*right, *up])
+    headlight = spec.visual.headlight
+    headlight.ambient = np.maximum(headlight.ambient, AMBIENT)
+    headlight.diffuse = np.maximum(headlight.diffuse, DIFFUSE)
+    sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    if all(texture.type != sky for texture in spec.textures):
+        gradient = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+        spec.add_texture(type=sky, builtin=gradient, rgb1=SKY, rgb2=HAZE, width=64, height=384)
+
+
+def _moving(model: mujoco.MjModel) -> tuple[np.ndarray, float]:
+    """Centre and radius of a sphere around the geoms that joints move.
+
+    They are in the default pose, and slide as far as the limits of one slide joint let them.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moves = model.body_weldid[model.geom_bodyid] > 0
+    if not moves.any():
+        return model.stat.center, model.stat.extent
+    places, radii = data.geom_xpos[moves], model.geom_rbound[moves][:, None]
+    low, high = (places - radii).min(0), (places + radii).max(0)
+    slides = (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE) & (model.jnt_limited > 0)
+    reach = np.abs(model.jnt_range[slides]).max(initial=0.0)
+    return (low + high) / 2, float(np.linalg.norm(high - low) / 2 + reach)

@@ -17,7 +17,7 @@ FILES = (  # beside checkpoints, logs and figures
 )
 FIGURES = (
     *("learning_curve", "trajectories", "kl_per_step", "policy", "calibration", "model"),
-    *("poses", "writing"),
+    *("poses", "writing", "robot"),
 )
 FOLDERS = ("checkpoints", "figures", "logs")
 # all names that a run may write: whatever its list says, nothing else is removed

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -14,7 +16,13 @@ from torch import Tensor
 from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of
-from torch_pmil.plotting.video import dense_states, render_rollout, write_gif, write_video
+from torch_pmil.plotting.video import (
+    dense_states,
+    render_rollout,
+    write_gif,
+    write_picture,
+    write_video,
+)
 from torch_pmil.runs.figures import figures_of
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.printing import Step, print_left, print_result, tell
@@ -23,7 +31,8 @@ from torch_pmil.runs.training import RunResult
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 
-FEWEST_FRAMES = 50  # in a second
+FEWEST_FRAMES = 25  # in a second
+FILM_SECONDS = 10.0  # of computing, after which one picture takes the place of the film
 Draw = Callable[[Tensor, Tensor, int], Iterator[np.ndarray]]  # start, actions, frames in a period
 
 
@@ -44,7 +53,7 @@ def steps_of(task: Task, result: RunResult, out: Path) -> Iterator[Step]:
     """Steps that draw figures, film a robot that is measured from fresh starts, and report."""
     yield "figures", partial(draw_figures, task, result, out)
     if task.draws and task.evaluated:
-        yield "video", lambda: film(task, result, own(out, "video.mp4"))
+        yield "video", partial(film_or_picture, task, result, out)
     if (out / "video.mp4").exists():
         yield "GIF", lambda: write_gif(own(out, "video.gif"), out / "video.mp4")
     yield "report", partial(write_report, out)
@@ -55,6 +64,40 @@ def draw_figures(task: Task, result: RunResult, out: Path) -> None:
     (out / "figures").mkdir(exist_ok=True)
     for name, figure in figures_of(task, result):
         plotting.save_figure(figure, own(out, f"figures/{name}.png"))
+
+
+class TooSlowError(RuntimeError):
+    """Pictures of a robot take too long for a film."""
+
+
+def film_or_picture(task: Task, result: RunResult, out: Path) -> None:
+    """Film the saved policy; if that takes too long, draw the robot at its start alone."""
+    try:
+        film(task, result, own(out, "video.mp4"))
+    except TooSlowError as error:
+        print(f"{error}: figures/robot.png is one of them")
+        robot = task.first_robot(seed=0)
+        write_picture(own(out, "figures/robot.png"), robot.render(robot.initial_mean))
+
+
+def timely(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Pictures, as long as all of them together take less than ``FILM_SECONDS``.
+
+    Raises TooSlowError then.
+    """
+    spent = 0.0
+    for number in itertools.count(1):
+        begun = time.process_time()
+        picture = next(pictures, None)
+        spent += time.process_time() - begun
+        if picture is None:
+            return
+        if spent > FILM_SECONDS:
+            raise TooSlowError(
+                f"no video: {number} pictures took {spent:.0f} s of computing, which a GPU or a "
+                "robot without fine meshes would save"
+            )
+        yield picture
 
 
 @torch.no_grad()
@@ -75,8 +118,15 @@ def film(task: Task, result: RunResult, path: Path) -> None:
 def film_outcome(env: MujocoRobotEnv, task: Task, outcome: Outcome, path: Path) -> None:
     """Film the first executed rollout; see :func:`drawing_of`."""
     start, actions, frames = outcome.executed[0, 0], outcome.rollouts["action"][0], _frames(env)
+    draw_quickly(env)
     pictures = drawing_of(env, task, path)(start, actions, frames)
-    write_video(path, pictures, frames / env.control_period)
+    write_video(path, timely(pictures), frames / env.control_period)
+
+
+def draw_quickly(env: MujocoRobotEnv) -> None:
+    """Draw without shadows and smoothed edges: without a GPU they take most of the time."""
+    quality = env.model.vis.quality
+    quality.shadowsize = quality.offsamples = 0
 
 
 def drawing_of(env: MujocoRobotEnv, task: Task, path: Path) -> Draw:
@@ -95,7 +145,7 @@ def drawing_of(env: MujocoRobotEnv, task: Task, path: Path) -> Draw:
 
 
 def _frames(env: MujocoRobotEnv) -> int:
-    """The fewest pictures in a control period, one each few substeps, that make 50 in a second."""
+    """The fewest pictures in a control period, one each few substeps, that make 25 in a second."""
     wanted = FEWEST_FRAMES * env.control_period - 1e-9
     numbers = range(1, env.substeps + 1)
     return next(n for n in numbers if env.substeps % n == 0 and (n >= wanted or n == env.substeps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Unpack
 
 import torch
@@ -92,8 +93,12 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
         See :func:`~torch_pmil.search.kl.gaussian_cross_entropy`.
         """
-        observed = self.predict(initial, horizon)
-        return gaussian_cross_entropy(observed, self._demonstrated(observed.batch_shape[-1]))
+        states = self.predict_states(initial, horizon)
+        steps = states.batch_shape[-1]
+        costs = self._by_kernels(states, replace(self._comparison(steps), cross_entropy=True))
+        if costs is None:
+            costs = gaussian_cross_entropy(self._observe(states), self._demonstrated(steps))
+        return costs
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return super()._observe(states).add_noise(self.noise_std**2)
@@ -114,6 +119,11 @@ class TrajectoryKLLoss(TrajectoryLoss):
             noise.square().diag(),
             demonstrated.cov,
         )
+
+    def _comparison_of(self, method: object, horizon: int) -> Comparison | None:
+        if method is TrajectoryKLLoss.cross_entropy_per_step:
+            return replace(self._comparison(horizon), cross_entropy=True)
+        return super()._comparison_of(method, horizon)
 
     def _demonstrated(self, horizon: int) -> Gaussian:
         mean, cov = self.demonstrated_mean, self.demonstrated_cov

@@ -156,8 +156,7 @@ class TrajectoryLoss(LossModule):
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each predicted marginal up to a horizon, (*batch, horizon)."""
         states = self.predict_states(initial, horizon)
-        comparison = self._served(states.mean)
-        costs = None if comparison is None else kernels().costs_of_beliefs(states, comparison)
+        costs = self._by_kernels(states, self._comparison(states.mean.shape[-2]))
         if costs is None:
             costs = self._score(self._observe(states))
         return costs if self._penalty is None else costs + self._penalty(states)
@@ -169,7 +168,7 @@ class TrajectoryLoss(LossModule):
         """
         (start, policy), steps = self.begin(initial), self._steps(horizon)
         states = self.mean_prediction(start.mean, policy, self.dynamics, self.space, steps)
-        comparison = self._served(states)
+        comparison = self._served(self._comparison(states.shape[-2]), states)
         costs = None if comparison is None else kernels().costs_of_states(states, comparison)
         return self._mean_costs(self.space.observe(states)) if costs is None else costs
 
@@ -186,17 +185,18 @@ class TrajectoryLoss(LossModule):
         start beliefs, or with a penalty.
         """
         method, of_class = getattr(per_step, "__func__", None), type(self)
-        mean_alone = method is TrajectoryLoss.mean_per_step
         plain = (
             not initial.batch_shape
-            and (mean_alone or (method is TrajectoryLoss.per_step and self._penalty is None))
             and type(self.actor_network) is RBFPolicy
             and of_class.begin is TrajectoryLoss.begin
             and of_class.predict_states is TrajectoryLoss.predict_states
             and self.prediction is predict_trajectory
             and self.mean_prediction is predict_mean_trajectory
         )
-        comparison = self._served(initial.mean.expand(horizon, -1)) if plain else None
+        if not plain:
+            return None
+        states = initial.mean.expand(horizon, -1)
+        comparison = self._served(self._comparison_of(method, horizon), states)
         if comparison is None:
             return None
         with torch.no_grad():
@@ -204,7 +204,7 @@ class TrajectoryLoss(LossModule):
         if plan is None:
             return None
         try:
-            scale = self.actor_network.scale
+            scale, mean_alone = self.actor_network.scale, method is TrajectoryLoss.mean_per_step
             return kernels().PolicyObjective(plan, comparison, initial, scale, mean_alone)
         except NotPositiveDefiniteError:  # the formulas name what is wrong with the demonstrations
             return None
@@ -275,9 +275,19 @@ class TrajectoryLoss(LossModule):
         check_whole("horizon", horizon, 1, self.horizon)
         return horizon
 
-    def _served(self, states: Tensor) -> Comparison | None:
-        """What the kernels compare states (*batch, T, D) with, if they do."""
-        comparison = self._comparison(states.shape[-2])
+    def _comparison_of(self, method: object, horizon: int) -> Comparison | None:
+        """:meth:`_comparison` for the sum of one of its methods; None if kernels do not know it."""
+        without_penalty = method is TrajectoryLoss.per_step and self._penalty is None
+        known = without_penalty or method is TrajectoryLoss.mean_per_step
+        return self._comparison(horizon) if known else None
+
+    def _by_kernels(self, states: Gaussian, comparison: Comparison | None) -> Tensor | None:
+        """Costs of predicted states as kernels compute them; None if they do not."""
+        served = self._served(comparison, states.mean)
+        return None if served is None else kernels().costs_of_beliefs(states, served)
+
+    def _served(self, comparison: Comparison | None, states: Tensor) -> Comparison | None:
+        """A comparison with states (*batch, T, D), if kernels compute it."""
         if comparison is None or not serves(comparison.tensors, (states,)):
             return None
         broadcast = torch.broadcast_shapes(comparison.offset.shape[:-1], states.shape[:-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,6 +15,7 @@ from tests.helpers.losses import HORIZON, make_cost, make_kl
 from tests.helpers.two_ways import assert_told_alike
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.compiled.prediction import costs_of_beliefs, costs_of_states
+from torch_pmil.search.kl import gaussian_cross_entropy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 losses = pytest.mark.parametrize("make", [make_kl, make_cost], ids=["KL", "saturating cost"])
@@ -51,6 +53,24 @@ def test_cost_of_a_certain_state_is_that_of_its_mean(draws: Draws) -> None:
     torch.testing.assert_close(
         costs_of_beliefs(certain, comparison), costs_of_states(mean, comparison)
     )
+
+
+def test_cross_entropy_and_its_gradients_are_those_of_the_formula(draws: Draws) -> None:
+    loss, mean, root = make_kl(seed=1), draws.normal(HORIZON, 2), 0.3 * draws.normal(HORIZON, 2, 3)
+    comparison = replace(loss._comparison(HORIZON), cross_entropy=True)
+    inputs, weights = (mean.requires_grad_(), root.requires_grad_()), draws.normal(HORIZON)
+
+    def by_formula(states: Gaussian) -> Tensor:
+        return gaussian_cross_entropy(loss._observe(states), loss._demonstrated(HORIZON))
+
+    def by_kernels(states: Gaussian) -> Tensor:
+        return costs_of_beliefs(states, comparison)
+
+    found, expected = (
+        (costs, *torch.autograd.grad((weights * costs).sum(), inputs))
+        for costs in (way(Gaussian(mean, root @ root.mT)) for way in (by_kernels, by_formula))
+    )
+    torch.testing.assert_close(found, expected)
 
 
 # --- what has no cost ---

@@ -1,13 +1,13 @@
 r"""Costs of predicted states in the match space, with their gradients (Eqs. 19, 23, 24 and 28).
 
 They are those of :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a`: the KL of a demonstrated
-marginal, the expected saturating cost, or, without variance, :math:`\tfrac12 \|r\|^2` and
+marginal, the cross-entropy relative to it, the expected saturating cost, or, without variance, :math:`\tfrac12 \|r\|^2` and
 :math:`1 - e^{-\|r\|^2 / 2}`.
 """
 
 from __future__ import annotations
 
-from math import exp, isnan
+from math import exp, isnan, log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -97,6 +97,7 @@ def write_costs(
     observation: Observation,
     demonstrated: Array3,
     half_log_det: Array1,
+    cross_entropy: bool,
     mean: Array2,
     cov: Array3,
     work: CostWork,
@@ -110,6 +111,7 @@ def write_costs(
         observation: of the states; its offset holds what they are compared with.
         demonstrated: covariances (T, M, M), for the KL; (0, 0, 0) for the saturating cost.
         half_log_det: half the logarithms of their determinants, (T,) or (0,).
+        cross_entropy: whether the cost is that, in place of the KL.
         mean, cov: states, (T, D) and (T, D, D).
         costs, d_mean, d_cov: out, (T,), (T, D) and (T, D, D).
 
@@ -126,9 +128,13 @@ def write_costs(
         log_det = _invert_with(cov_of_residual, 1.0 if saturating else 0.0, inverse)
         if isnan(log_det):
             return t + 1
+        if cross_entropy:
+            log_det = _invert_with(demonstrated[t], 0.0, inverse)
         times_vector(inverse, residual, work.moved)
         if saturating:
             costs[t] = _saturating_cost(log_det, work)
+        elif cross_entropy:
+            costs[t] = _cross_entropy(log_det, work)
         else:
             costs[t] = _divergence(demonstrated[t], log_det - half_log_det[t], work)
         _adjoint_of_observation(observation, work, d_mean[t], d_cov[t])
@@ -187,6 +193,21 @@ def _divergence(demonstrated: Array2, half_log_ratio: float, work: CostWork) -> 
         for j in range(M):
             d_cov[i, j] = (inverse[i, j] - d_cov[i, j] - moved[i] * moved[j]) / 2.0
     return (trace + distance - M) / 2.0 + half_log_ratio
+
+
+@part
+def _cross_entropy(half_log_det: float, work: CostWork) -> float:
+    """Cross-entropy of N(r, cov) relative to N(0, demonstrated), and its gradients."""
+    inverse, moved, residual, cov = work.inverse, work.moved, work.residual, work.cov
+    d_residual, d_cov, M = work.d_residual, work.d_cov, len(work.moved)
+    total = M * log(2.0 * pi)
+    for i in range(M):
+        total += residual[i] * moved[i]
+        d_residual[i] = moved[i]
+        for j in range(M):
+            total += inverse[i, j] * cov[j, i]
+            d_cov[i, j] = inverse[i, j] / 2.0
+    return total / 2.0 + half_log_det
 
 
 @part

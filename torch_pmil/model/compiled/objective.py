@@ -80,7 +80,7 @@ class CostsOfBeliefs:
         self.tape, self.work = Tape.of(robot, T), StepWork.of(robot)
         self.tape.mean[0], self.tape.cov[0] = array(start.mean), array(symmetric(start.cov))
         self.observation = observation_of(comparison, (T,))
-        self.demonstrated = determinants_of(comparison, (T,))
+        self.demonstrated = *determinants_of(comparison, (T,)), comparison.cross_entropy
         self.cost_work = CostWork.of(self.observation)
         self.out = np.empty(T), np.empty((T, D)), np.empty((T, D, D))
         self.back, self.of_start = Cotangents.of(robot), (np.empty(D), np.empty((D, D)))

@@ -37,6 +37,7 @@ class Comparison:
     # covariances of the demonstrated marginals, (*batch, T, M, M), for their KL to N(r, cov); None
     # for the saturating cost of r
     demonstrated: Tensor | None
+    cross_entropy: bool = False  # of N(r, cov) relative to these marginals, in place of their KL
 
     @property
     def tensors(self) -> list[Tensor]:

@@ -154,11 +154,11 @@ class _Costs(torch.autograd.Function):
     def forward(ctx: Any, comparison: Comparison, mean: Tensor, cov: Tensor) -> Tensor:
         batch, D = mean.shape[:-1], mean.shape[-1]
         observation = observation_of(comparison, batch)
-        demonstrated, half_log_det = determinants_of(comparison, batch)
+        demonstrated = *determinants_of(comparison, batch), comparison.cross_entropy
         means, covs = array(mean.reshape(-1, D)), array(cov.reshape(-1, D, D))
         costs, d_mean, d_cov = np.empty(len(means)), np.empty_like(means), np.empty_like(covs)
         work, out = CostWork.of(observation), (costs, d_mean, d_cov)
-        failed = write_costs(observation, demonstrated, half_log_det, means, covs, work, *out)
+        failed = write_costs(observation, *demonstrated, means, covs, work, *out)
         if failed or not np.isfinite(costs).all():
             raise _NoAnswer
         ctx.save_for_backward(

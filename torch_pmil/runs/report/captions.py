@@ -34,6 +34,7 @@ CAPTIONS = {  # in the order of the page
         "Strokes of people, the prediction for the robot's tip (an ellipse of two standard "
         "deviations at each step), and the first five strokes that it wrote.",
     ),
+    "robot": Caption("The robot", "At its start; a film of it would have taken too long."),
     "poses": Caption(
         "Poses of one rollout", "The robot from the start (bright) to the end (dark)."
     ),

@@ -1,7 +1,7 @@
 """CPU time of the parts of one KL with its policy gradient, for several numbers n of data.
 
-One process, one thread. The fastest of several evaluations counts. Calls of kernels are timed where
-they are made; the remaining time is Python's. The parts of the prediction are measured separately
+One process, one thread. It is evaluated as a policy search does, and the fastest evaluation counts.
+Calls of kernels are timed where they are made; the remaining time is Python's. The parts of the prediction are measured separately
 between the evaluations, at the beliefs that occurred, and the fastest of each counts. ``PARTS``
 lists both kinds.
 
@@ -18,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import numpy as np
 import torch
@@ -25,7 +26,7 @@ import torch
 from benchmarks.command_line import source_of
 from benchmarks.workloads import make_problem
 from torch_pmil.files import write_json
-from torch_pmil.model.compiled import kernels
+from torch_pmil.model.compiled import objective
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.building import Address, Array2, Array3, Kernel, call
 from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
@@ -42,7 +43,7 @@ PARTS = {
     "policy": "of the prediction, the moments of the policy's network, measured by themselves",
     "adjoint": "the kernel that goes the steps back",
     "costs": "the kernel that compares the prediction with the demonstrations",
-    "Python": "the rest: arrays made and handed over, PyTorch and its graph",
+    "Python": "the rest: the policy and its gradient handed over",
 }
 KERNELS = {"predict": "prediction", "adjoint": "adjoint", "write_costs": "costs"}
 
@@ -59,11 +60,11 @@ def main() -> None:
         help="numbers n of data",
     )
     parser.add_argument(
-        "--repeats",
-        type=int,
-        default=50,
-        metavar="N",
-        help="evaluations, of which the fastest counts",
+        "--seconds",
+        type=float,
+        default=4.0,
+        metavar="S",
+        help="for which a number of data is measured",
     )
     parser.add_argument(
         "--json",
@@ -74,7 +75,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     rows = [
-        {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.repeats)}
+        {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.seconds)}
         for n in arguments.sizes
     ]
     source = source_of("breakdown")
@@ -83,14 +84,14 @@ def main() -> None:
     print("\n".join(table(rows)))
 
 
-def measure(n: int, repeats: int) -> dict[str, float]:
-    """Milliseconds of each part of the benchmark's problem."""
+def measure(n: int, limit: float) -> dict[str, float]:
+    """Milliseconds of each part of the benchmark's problem, measured for so many seconds."""
     evaluate, calls = evaluation(n), Calls()
     with calls.watched():
         evaluate()
         repeated = within(*calls.arguments["prediction"])
-        evaluations, others = [], []
-        for _ in range(repeats):
+        evaluations, others, end = [], [], time.process_time() + limit
+        while time.process_time() < end:
             evaluations.append(calls.of(evaluate))
             others.append({part: seconds(function) for part, function in repeated.items()})
     parts = min(evaluations, key=lambda times: times["whole"])
@@ -101,8 +102,10 @@ def measure(n: int, repeats: int) -> dict[str, float]:
 def evaluation(n: int) -> Callable[[], object]:
     """A function that computes value and gradient of the benchmark's problem."""
     problem = make_problem(n, HORIZON)
-    loss, parameters = problem.loss, list(problem.policy.parameters())
-    return lambda: torch.autograd.grad(loss.per_step(problem.experiment.initial).sum(), parameters)
+    loss, policy = problem.loss, problem.policy
+    of_policy = loss.objective(loss.per_step, problem.experiment.initial, HORIZON)
+    assert of_policy is not None
+    return lambda: of_policy((policy.centres, policy.weights, policy.log_widths))
 
 
 class Calls:
@@ -115,13 +118,11 @@ class Calls:
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
         """Time the calls of kernels meanwhile."""
-        originals = {name: getattr(kernels(), name) for name in KERNELS}
-        try:
-            for name, kernel in originals.items():
-                setattr(kernels(), name, self.timed(kernel, KERNELS[name]))
+        with contextlib.ExitStack() as stack:
+            for name, part in KERNELS.items():
+                timed = self.timed(getattr(objective, name), part)
+                stack.enter_context(mock.patch.object(objective, name, timed))
             yield
-        finally:
-            vars(kernels()).update(originals)
 
     def timed(self, kernel: Callable[..., object], part: str) -> Callable[..., object]:
         """A kernel that adds to the time of a part."""

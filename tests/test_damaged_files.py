@@ -26,8 +26,9 @@ from torch_pmil.cli.summarize import summarize
 from torch_pmil.control.policy_file import PolicyFileError, load_policy
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations, load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
+from torch_pmil.runs.overrides import check_overrides
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.settings import SettingsError, check_overrides
+from torch_pmil.runs.settings import SettingsError
 from torch_pmil.runs.summaries import RunError, count_trials
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.trainer.checkpoints import rotation_in

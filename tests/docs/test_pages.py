@@ -23,7 +23,8 @@ from omegaconf import DictConfig
 from tests.helpers.pages import PAGES, ROOT, Block, blocks, commands, not_printed
 from tests.helpers.run_script import run_command
 from torch_pmil.cli import Parser, train
-from torch_pmil.runs.settings import check_overrides, settings_of
+from torch_pmil.runs.overrides import check_overrides
+from torch_pmil.runs.settings import settings_of
 from torch_pmil.tasks.double_pendulum import SUCCESS_DISTANCE
 from torch_pmil.tasks.registry import EXPERIMENTS, is_own
 

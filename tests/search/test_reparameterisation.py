@@ -79,7 +79,11 @@ def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
 @pytest.mark.parametrize(
     ("make", "method"),
     [
-        *((make, method) for make in (make_kl, make_cost) for method in ("per_step", "mean_per_step")),
+        *(
+            (make, method)
+            for make in (make_kl, make_cost)
+            for method in ("per_step", "mean_per_step")
+        ),
         (make_kl, "cross_entropy_per_step"),
     ],
 )

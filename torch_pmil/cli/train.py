@@ -34,6 +34,7 @@ from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.files import bounded_line, in_words
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.lock import alone_in
+from torch_pmil.runs.overrides import check_overrides
 from torch_pmil.runs.pictures import tell_all
 from torch_pmil.runs.printing import (
     making_the_rest,
@@ -45,7 +46,6 @@ from torch_pmil.runs.printing import (
 from torch_pmil.runs.run_folder import FinishedRunError
 from torch_pmil.runs.settings import (
     RunSettings,
-    check_overrides,
     first_line,
     help_lines,
     settings_of,

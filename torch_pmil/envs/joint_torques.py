@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import scipy
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from torch_pmil.envs.actuators import actions_for, actuator_units, answer_at_rest, force_limits
@@ -86,7 +86,7 @@ class ModelledRobot(RobotEnv):
             or is not in the state.
         """
         times = self.control_period * np.arange(len(states))
-        motion = CubicSpline(times, states[:, self._position_entries].numpy())
+        motion = scipy.interpolate.CubicSpline(times, states[:, self._position_entries].numpy())
         moments = self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS
         between = (times[:-1, None] + moments).ravel()
         torques = self._inverse_dynamics(motion(between), motion(between, 1), motion(between, 2))

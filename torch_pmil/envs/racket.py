@@ -6,8 +6,8 @@ from functools import cache
 
 import mujoco
 import numpy as np
+import scipy
 import torch
-from scipy.interpolate import CubicHermiteSpline
 from torch import Tensor
 
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
@@ -49,7 +49,7 @@ def _joint_paths(states: np.ndarray, time_step: float) -> np.ndarray:
     positions, velocities = np.split(states, 2, axis=-1)
     times = time_step * np.arange(states.shape[-2])
     fine = np.linspace(0, times[-1], PLACES * (len(times) - 1) + 1)
-    return CubicHermiteSpline(times, positions, velocities, axis=-2)(fine)
+    return scipy.interpolate.CubicHermiteSpline(times, positions, velocities, axis=-2)(fine)
 
 
 @cache

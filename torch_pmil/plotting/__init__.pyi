@@ -20,6 +20,7 @@ from .style import (
     VERMILLION as VERMILLION,
     Figure as Figure,
     save_figure as save_figure,
+    save_picture as save_picture,
 )
 from .success import (
     plot_learning_curve as plot_learning_curve,

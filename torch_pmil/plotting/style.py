@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from torch_pmil.files import replacing
@@ -49,6 +50,20 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     """
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=150)
+
+
+def save_picture(picture: np.ndarray, path: Path | str) -> None:
+    """Write a picture (height, width, 3), uint8, as a PNG file, wholly or not at all.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "black.png"
+        >>> save_picture(np.zeros((16, 16, 3), dtype=np.uint8), path)
+        >>> path.read_bytes()[:4]
+        b'\\x89PNG'
+    """
+    with replacing(path) as temporary:
+        imsave(temporary, picture, format="png")
 
 
 def style(panel: Axes) -> None:

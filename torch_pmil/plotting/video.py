@@ -16,7 +16,6 @@ from typing import IO
 
 import imageio_ffmpeg
 import numpy as np
-from matplotlib.image import imsave
 from torch import Tensor
 
 from torch_pmil.checks import check_positive
@@ -175,20 +174,6 @@ def write_gif(path: Path | str, video: Path | str) -> None:
     """
     with replacing(path) as temporary:
         _run_ffmpeg(["-i", url(Path(video)), *GIF], temporary, (), f"no GIF of {video}")
-
-
-def write_picture(path: Path | str, picture: np.ndarray) -> None:
-    """Write a picture (height, width, 3), uint8, as a PNG file, wholly or not at all.
-
-    Example:
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     write_picture(f"{folder}/black.png", np.zeros((16, 16, 3), dtype=np.uint8))
-        ...     Path(f"{folder}/black.png").read_bytes()[:4]
-        b'\\x89PNG'
-    """
-    with replacing(path) as temporary:
-        imsave(temporary, picture, format="png")
 
 
 def url(path: Path) -> str:

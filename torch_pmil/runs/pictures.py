@@ -16,13 +16,7 @@ from torch import Tensor
 from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of
-from torch_pmil.plotting.video import (
-    dense_states,
-    render_rollout,
-    write_gif,
-    write_picture,
-    write_video,
-)
+from torch_pmil.plotting.video import dense_states, render_rollout, write_gif, write_video
 from torch_pmil.runs.figures import figures_of
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.printing import Step, print_left, print_result, tell
@@ -77,7 +71,7 @@ def film_or_picture(task: Task, result: RunResult, out: Path) -> None:
     except TooSlowError as error:
         print(f"{error}: figures/robot.png is one of them")
         robot = task.first_robot(seed=0)
-        write_picture(own(out, "figures/robot.png"), robot.render(robot.initial_mean))
+        plotting.save_picture(robot.render(robot.initial_mean), own(out, "figures/robot.png"))
 
 
 def timely(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:

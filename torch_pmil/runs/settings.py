@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, OverrideType
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -33,10 +30,6 @@ from torch_pmil.tasks.targets import TargetTask
 FILE = "settings="  # begins the word that names a file of settings
 FILE_BYTES = 2**14
 MOST_LISTS = 200  # in a file: one within the other they take long to read
-MOST_RUNS = 10_000  # of a sweep
-LAUNCHER = "hydra/launcher"
-# settings of a launcher, numbers and names, but not what it imports
-OF_LAUNCHER = re.compile(r"hydra\.launcher\.(?!.*_target_)[\w.]+")
 PLAIN = re.compile(r"(?!(null|true|false|nan|inf)$)(\.{0,2}/)?[a-z_][\w./-]*", re.IGNORECASE)
 WIDTH = 100  # characters of a line of help
 
@@ -172,48 +165,8 @@ def _check_text(name: str, value: object, optional: bool) -> None:
         raise SettingsError(f"{name} must be text that is not empty{null}, got {value!r}")
 
 
-def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
-    """Raise SettingsError unless all NAME=VALUE of a command line change a known setting.
-
-    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set. In a
-    ``sweep`` a value may be several, for a run each.
-
-    Example:
-        >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)
-        >>> try:
-        ...     check_overrides(["+sede=1"], sweep=False)
-        ... except SettingsError as error:
-        ...     print(error)
-        there is no setting sede in +sede=1: did you mean seed?
-    """
-    runs = 1
-    for text in overrides:
-        override = _parsed(text)
-        name = override.key_or_group
-        if name != LAUNCHER and not OF_LAUNCHER.fullmatch(name):
-            if not name:
-                raise SettingsError(f"a setting must be NAME=VALUE, got {text}")
-            _check_name(name, text)
-        if override.type in (OverrideType.ADD, OverrideType.DEL):
-            raise SettingsError(f"a setting must be {name}=VALUE, got {text}")
-        if override.is_sweep_override():
-            if not sweep:
-                raise SettingsError(f"{name} must be one value, unless -m is given, got {text}")
-            runs *= sum(1 for _, _ in zip(range(MOST_RUNS + 1), override.sweep_iterator()))  # noqa: B905
-    if not 0 < runs <= MOST_RUNS:
-        raise SettingsError(
-            f"a sweep must have from 1 to {MOST_RUNS} runs, got {'none' if not runs else 'more'}"
-        )
-
-
-def _parsed(text: str) -> Override:
-    try:
-        return OverridesParser.create().parse_override(text)
-    except HydraException as error:
-        raise SettingsError(f"cannot read the setting {text!r}: {first_line(error)}") from error
-
-
-def _check_name(name: str, text: str) -> None:
+def check_name(name: str, text: str) -> None:
+    """Raise SettingsError if there is no setting of this name; ``text`` is where it was found."""
     if name not in SETTINGS:
         hint = did_you_mean(name, SETTINGS, f"there are {', '.join(SETTINGS)}", cutoff=0.5)
         raise SettingsError(f"there is no setting {name} in {text}: {hint}")
@@ -291,7 +244,7 @@ def _check_entry(name: str, value: object) -> None:
         raise SettingsError(
             f"{name} must be one value, got entries: write {name}.ENTRY: VALUE for each of them"
         )
-    _check_name(name, f"{name}: {json.dumps(value)}")
+    check_name(name, f"{name}: {json.dumps(value)}")
     if name == "experiment" and is_own(str(value)):
         raise SettingsError(
             "experiment must be given on the command line if it is one's own, since its module is "

@@ -18,8 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
+import scipy
 
 from torch_pmil.demonstrations.errors import (
     HEAD,
@@ -54,9 +53,9 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
         )
     file = read_bytes(path, TEXT_BYTES)
     check_kind("a MATLAB file", file[:HEAD], b"MATLAB 5")
-    with readable("MATLAB file", zlib.error, struct.error, MatReadError):
+    with readable("MATLAB file", zlib.error, struct.error, scipy.io.matlab.MatReadError):
         _check_arrays(file)
-        content = loadmat(io.BytesIO(file), variable_names=["demos"], simplify_cells=True)
+        content = scipy.io.loadmat(io.BytesIO(file), variable_names=["demos"], simplify_cells=True)
     strokes = content.get("demos", [])
     strokes = strokes if isinstance(strokes, list) else [strokes]
     if not strokes:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 import torch
 from dtaidistance import dtw, dtw_ndim
-from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor
 
 from torch_pmil.demonstrations.clock import clock, holes
@@ -89,7 +89,9 @@ def align(
     steps = round(common[-1])
     times, scale = np.linspace(0, common[-1], steps + 1), common[-1] / steps
     aligned = [
-        _warped(one, PchipInterpolator(common, own), times, scale, list(velocities))
+        _warped(
+            one, scipy.interpolate.PchipInterpolator(common, own), times, scale, list(velocities)
+        )
         for one, own in zip(values, knots, strict=True)
     ]
     return torch.from_numpy(np.stack(aligned))
@@ -136,10 +138,12 @@ def resample(values: Tensor, times: Tensor, time_step: float, samples: int | Non
     stamps, numbers, half = times.numpy(), values.numpy(), found.step / 2
     even = found.start + time_step * np.arange(count)
     even = np.clip(even, stamps[0] - half, stamps[-1] + half)
-    sampled = CubicSpline(stamps, numbers, axis=-2)(even)
+    sampled = scipy.interpolate.CubicSpline(stamps, numbers, axis=-2)(even)
     for begin, end in holes(times):
         within = (begin < even) & (even < end)
-        sampled[..., within, :] = PchipInterpolator(stamps, numbers, axis=-2)(even[within])
+        sampled[..., within, :] = scipy.interpolate.PchipInterpolator(stamps, numbers, axis=-2)(
+            even[within]
+        )
     return torch.from_numpy(sampled)
 
 
@@ -204,7 +208,7 @@ def _matched_times(
     path = np.array(dtw.warping_path_fast(*pair, **settings))
     matched = np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])  # the mean of a jump
     edges = np.linspace(0, len(matched) - 1, KNOTS + 1)
-    cumulative = CubicSpline(np.arange(len(matched)), matched).antiderivative()
+    cumulative = scipy.interpolate.CubicSpline(np.arange(len(matched)), matched).antiderivative()
     middles = np.diff(cumulative(edges)) / np.diff(edges)
     inner = np.maximum.accumulate(np.clip(middles, 0, len(other) - 1))
     return np.concatenate([[0.0], inner, [len(other) - 1.0]])
@@ -212,14 +216,14 @@ def _matched_times(
 
 def _warped(
     trajectory: np.ndarray,
-    warp: PchipInterpolator,
+    warp: scipy.interpolate.PchipInterpolator,
     times: np.ndarray,
     scale: float,
     velocities: list[int],
 ) -> np.ndarray:
     """A trajectory at the warped times; velocities by the chain rule."""
     own = np.clip(warp(times), 0, len(trajectory) - 1)
-    warped = CubicSpline(np.arange(len(trajectory)), trajectory)(own)
+    warped = scipy.interpolate.CubicSpline(np.arange(len(trajectory)), trajectory)(own)
     warped[:, velocities] *= scale * warp(times, 1)[:, None]
     return warped
 
@@ -232,7 +236,7 @@ def _medoid(trajectories: Sequence[np.ndarray], settings: dict[str, float]) -> i
 def _refined(trajectory: np.ndarray, refinement: int) -> np.ndarray:
     steps = len(trajectory) - 1
     fine = np.linspace(0, steps, refinement * steps + 1)
-    return CubicSpline(np.arange(steps + 1), trajectory)(fine)
+    return scipy.interpolate.CubicSpline(np.arange(steps + 1), trajectory)(fine)
 
 
 def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> list[np.ndarray]:

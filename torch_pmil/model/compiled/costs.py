@@ -1,8 +1,8 @@
 r"""Costs of predicted states in the match space, with their gradients (Eqs. 19, 23, 24 and 28).
 
 They are those of :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a`: the KL of a demonstrated
-marginal, the cross-entropy relative to it, the expected saturating cost, or, without variance, :math:`\tfrac12 \|r\|^2` and
-:math:`1 - e^{-\|r\|^2 / 2}`.
+marginal, the cross-entropy relative to it, the expected saturating cost, or, without variance,
+:math:`\tfrac12 \|r\|^2` and :math:`1 - e^{-\|r\|^2 / 2}`.
 """
 
 from __future__ import annotations

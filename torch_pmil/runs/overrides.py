@@ -1,0 +1,58 @@
+"""The settings of a command line, as Hydra reads them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+
+from torch_pmil.runs.settings import SettingsError, check_name, first_line
+
+MOST_RUNS = 10_000  # of a sweep
+LAUNCHER = "hydra/launcher"
+# settings of a launcher, numbers and names, but not what it imports
+OF_LAUNCHER = re.compile(r"hydra\.launcher\.(?!.*_target_)[\w.]+")
+
+
+def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
+    """Raise SettingsError unless all NAME=VALUE of a command line change a known setting.
+
+    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set. In a
+    ``sweep`` a value may be several, for a run each.
+
+    Example:
+        >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)
+        >>> try:
+        ...     check_overrides(["+sede=1"], sweep=False)
+        ... except SettingsError as error:
+        ...     print(error)
+        there is no setting sede in +sede=1: did you mean seed?
+    """
+    runs = 1
+    for text in overrides:
+        override = _parsed(text)
+        name = override.key_or_group
+        if name != LAUNCHER and not OF_LAUNCHER.fullmatch(name):
+            if not name:
+                raise SettingsError(f"a setting must be NAME=VALUE, got {text}")
+            check_name(name, text)
+        if override.type in (OverrideType.ADD, OverrideType.DEL):
+            raise SettingsError(f"a setting must be {name}=VALUE, got {text}")
+        if override.is_sweep_override():
+            if not sweep:
+                raise SettingsError(f"{name} must be one value, unless -m is given, got {text}")
+            runs *= sum(1 for _, _ in zip(range(MOST_RUNS + 1), override.sweep_iterator()))  # noqa: B905
+    if not 0 < runs <= MOST_RUNS:
+        raise SettingsError(
+            f"a sweep must have from 1 to {MOST_RUNS} runs, got {'none' if not runs else 'more'}"
+        )
+
+
+def _parsed(text: str) -> Override:
+    try:
+        return OverridesParser.create().parse_override(text)
+    except HydraException as error:
+        raise SettingsError(f"cannot read the setting {text!r}: {first_line(error)}") from error

@@ -24,7 +24,7 @@ Start = str | int | Sequence[float] | Tensor | None
 PICTURE = (480, 640)
 CAMERA_DISTANCE = 3.0  # from the centre of what moves, in its radii
 AMBIENT, DIFFUSE = 0.4, 0.6  # least light from the camera
-SKY, HAZE = (0.75, 0.83, 0.93), (0.95, 0.96, 0.98)
+SKY = (0.85, 0.9, 0.95)  # red, green, blue
 
 
 class MujocoRobot:
@@ -254,8 +254,8 @@ def _add_camera(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     headlight.diffuse = np.maximum(headlight.diffuse, DIFFUSE)
     sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
     if all(texture.type != sky for texture in spec.textures):
-        gradient = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
-        spec.add_texture(type=sky, builtin=gradient, rgb1=SKY, rgb2=HAZE, width=64, height=384)
+        flat = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        spec.add_texture(type=sky, builtin=flat, rgb1=SKY, width=8, height=48)
 
 
 def _moving(model: mujoco.MjModel) -> tuple[np.ndarray, float]:

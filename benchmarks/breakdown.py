@@ -1,9 +1,9 @@
 """CPU time of the parts of one KL with its policy gradient, for several numbers n of data.
 
 One process, one thread. It is evaluated as a policy search does, and the fastest evaluation counts.
-Calls of kernels are timed where they are made; the remaining time is Python's. The parts of the prediction are measured separately
-between the evaluations, at the beliefs that occurred, and the fastest of each counts. ``PARTS``
-lists both kinds.
+Calls of kernels are timed where they are made; the remaining time is Python's. The parts of the
+prediction are measured separately between the evaluations, at the beliefs that occurred, and the
+fastest of each counts. ``PARTS`` lists both kinds.
 
 Example:
     python -m benchmarks.breakdown --sizes 50 100 200 400 1000

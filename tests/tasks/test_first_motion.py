@@ -17,7 +17,8 @@ from torch_pmil.tasks import first_motion
 from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, Choice, FirstMotion, choose, explore
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_samplings import samplings_of
-from torch_pmil.tasks.sampling import Sampling, at_step
+from torch_pmil.tasks.resampled import at_step, resampled
+from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
 
 
@@ -142,7 +143,7 @@ def test_motion_is_seen_as_the_sampled_robot_shows_it() -> None:
     task = task_of()
     motion = explore(task, seed=3)
     assert motion.actions.unflatten(0, (25, 4)).std(1).max() == 0
-    sampled = Sampling(held=4, past_actions=1).of(task)
+    sampled = resampled(task, Sampling(held=4, past_actions=1))
     env, actions = sampled.robot(3), iter(motion.actions[::4])
     rollout = env.rollout(25, lambda *_: next(actions))
     seen = motion.as_rollout(sampled)

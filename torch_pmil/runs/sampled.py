@@ -16,6 +16,7 @@ from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import save_tensors
 from torch_pmil.tasks.first_motion import Choice, FirstMotion, choose, explore
+from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
 
 MOTION, SAMPLING = "first_motion.pt", "sampling.json"
@@ -53,7 +54,7 @@ def sampled(
         choice = choose(task, motion)
     write_json(own(out, SAMPLING), asdict(choice))
     report(in_words(task, choice))
-    chosen = choice.sampling.of(task)
+    chosen = resampled(task, choice.sampling)
     return chosen, motion.as_rollout(chosen)
 
 

@@ -41,6 +41,7 @@ from torch_pmil.runs.sampled import sampled
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.rehearsal import rehearse
+from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import (
     RunRotation,
@@ -138,7 +139,7 @@ def train(
     check_whole("trials", trials, 1, MOST_TRIALS)
     check_resume(resume is True, overwrite)
     check_logger(logger)
-    rehearse(task.samplings[0].of(task) if task.samplings else task)
+    rehearse(resampled(task, task.samplings[0]) if task.samplings else task)
     another = None if isinstance(resume, bool) else Path(resume)
     if another is not None:
         _of_another(another, out, {})  # it is there, before the robot moves or a file is removed

@@ -14,6 +14,7 @@ from torch_pmil.envs.rollouts import as_executed, rollout_of, states_of
 from torch_pmil.model.held_out import held_out_loss
 from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
 from torch_pmil.seeds import Stream, generator_of
+from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import Resting
@@ -125,7 +126,7 @@ def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
     """The step, in control periods, and what models lose by each."""
     first, longest = task.samplings[0], _longest(task)
     steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
-    lost = [_loss(step.of(task), motion, longest // step.held) for step in steps]
+    lost = [_loss(resampled(task, step), motion, longest // step.held) for step in steps]
     found, least = list(zip(steps, lost, strict=True)), min(lost)
     alike = [step.held for step, nats in found if nats <= ALIKE * least + SMALL]
     period = task.demonstrations.time_step
@@ -142,7 +143,7 @@ def _evidence(task: Task, motion: FirstMotion, held: int) -> tuple[PastEvidence,
     every = next(
         k for k in range(1, held + 1) if held % k == 0 and (count // k <= MOST or k == held)
     )
-    seen = Sampling(every).of(task)
+    seen = resampled(task, Sampling(every))
     rollout = motion.as_rollout(seen)[None, :MOST]
     period, targets = seen.demonstrations.time_step, seen.make_dynamics().targets
     of_motion = states_of(rollout), rollout["action"], seen.space

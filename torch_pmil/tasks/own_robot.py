@@ -26,6 +26,7 @@ from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, re
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_samplings import samplings_of
 from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
+from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import Task
@@ -148,7 +149,7 @@ def own_robot(
     samplings = samplings_of(task, given, step, past)
     if len(samplings) > 1:
         return replace(task, samplings=samplings)
-    return samplings[0].of(task)
+    return resampled(task, samplings[0])
 
 
 def _demonstrated(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -34,6 +34,7 @@ from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task_checks import (
     check_demonstrated_way,
     check_folder_name,
@@ -41,9 +42,6 @@ from torch_pmil.tasks.task_checks import (
 )
 from torch_pmil.trainer.problem import Problem
 from torch_pmil.trainer.trials import own_error
-
-if TYPE_CHECKING:
-    from torch_pmil.tasks.sampling import Sampling
 
 HELD_STARTS = 200  # in which a new policy holds the robot
 MEASURED_STARTS = 20  # fresh starts of a measurement

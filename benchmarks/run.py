@@ -19,6 +19,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 from unittest import mock
@@ -49,17 +50,21 @@ def main() -> None:
     parser.add_argument("--experiment", default="double_pendulum", help="of pmil train")
     parser.add_argument("--seed", default=0, type=int, help="of pmil train")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--json", default="results/benchmarks/run/summary.json", help="to write")
+    parser.add_argument(
+        "--json", default=Path("results/benchmarks/run/summary.json"), type=Path, help="to write"
+    )
     arguments = parser.parse_args()
     if arguments.alone:
         print(json.dumps(parts_of(arguments.experiment, arguments.seed)))
         return
+    # not in the process that is measured, whose imports count
     from benchmarks.command_line import row_of_own_process, source_of
     from torch_pmil.files import write_json
 
     words = ["--alone", "--experiment", arguments.experiment, "--seed", str(arguments.seed)]
     rows = [row_of_own_process("run", *words) for _ in range(REPEATS)]
     headline = sorted(rows, key=lambda row: row["cpu_seconds_total"])[REPEATS // 2]
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(
         arguments.json,
         {**source_of("run"), "headline": headline, "parts": PARTS, "rows": rows},

@@ -16,7 +16,7 @@ from torch_pmil.model.compiled import objective
 def test_every_part_has_its_time(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file, kernel = tmp_path / "new" / "breakdown.json", objective.predict
     monkeypatch.setattr(
-        sys, "argv", ["breakdown.py", "--sizes", "10", "60", "--seconds", "0.3", "--json", str(file)]
+        sys, "argv", ["breakdown", "--sizes", "10", "60", "--seconds", "0.3", "--json", str(file)]
     )
     breakdown.main()
     assert objective.predict is kernel

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from torch_pmil.files import LineError, in_words, read_json, read_text, short
 
@@ -198,7 +198,7 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
         >>> f"{lower:.3f} {upper:.3f}"
         '0.722 1.000'
     """
-    z = ndtri((1 + CONFIDENCE) / 2)
+    z = scipy.special.ndtri((1 + CONFIDENCE) / 2)
     shrink = 1 + z**2 / count
     centre = (mean + z**2 / (2 * count)) / shrink
     half = z / shrink * np.sqrt(mean * (1 - mean) / count + z**2 / (4 * count**2))

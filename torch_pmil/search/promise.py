@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import scipy
 import torch
-from scipy.special import betaincinv
 from torch import Tensor
 
 from torch_pmil.checks import check_positive
@@ -42,7 +42,7 @@ class PredictedSuccess:
         if not self.successes:
             return 0.0
         failures = SAMPLES - self.successes
-        return float(betaincinv(self.successes, failures + 1, 1 - CONFIDENCE))
+        return float(scipy.special.betaincinv(self.successes, failures + 1, 1 - CONFIDENCE))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from scipy.special import bdtr
+import scipy
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
@@ -281,7 +281,7 @@ def check_chance(failed: int, count: int, promised: float | None) -> Reason | No
     """
     if promised is None or promised < LEARNED:
         return None
-    probability = bdtr(count - failed, count, promised)
+    probability = scipy.special.bdtr(count - failed, count, promised)
     if probability < RARE:
         return None
     return Reason(

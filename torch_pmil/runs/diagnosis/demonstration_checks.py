@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import scipy
 import torch
-from scipy.special import chdtri
 from torch import Tensor
 
 from torch_pmil.control.state_box import StateBox
@@ -146,7 +146,8 @@ def check_start(
     deviation = demonstrations.positions[:, 0] - belief.mean
     factor = torch.linalg.cholesky(belief.cov)
     white = torch.linalg.solve_triangular(factor, deviation.mT, upper=False)
-    bound = chdtri(len(belief.mean), START_SIGNIFICANCE / len(deviation))  # of chi-squared
+    # of chi-squared
+    bound = scipy.special.chdtri(len(belief.mean), START_SIGNIFICANCE / len(deviation))
     findings = []
     for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
         entry = int((deviation[number] / belief.std).abs().argmax())
@@ -243,7 +244,7 @@ def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor)
     positions = demonstrations.positions
     off = (positions - shown).mean(0)  # (T + 1, M)
     size = off.abs() / noise_std
-    bound = chdtri(size.numel(), SIGNIFICANCE)
+    bound = scipy.special.chdtri(size.numel(), SIGNIFICANCE)
     if len(positions) * size.square().sum() <= bound or size.amax() <= 1:
         return []
     step, entry = _place(size)

@@ -25,7 +25,7 @@ from torch_pmil.runs.training import RunResult
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 
-FEWEST_FRAMES = 25  # in a second
+FEWEST_FRAMES = 20  # in a second
 FILM_SECONDS = 10.0  # of computing, after which one picture takes the place of the film
 Draw = Callable[[Tensor, Tensor, int], Iterator[np.ndarray]]  # start, actions, frames in a period
 
@@ -139,7 +139,7 @@ def drawing_of(env: MujocoRobotEnv, task: Task, path: Path) -> Draw:
 
 
 def _frames(env: MujocoRobotEnv) -> int:
-    """The fewest pictures in a control period, one each few substeps, that make 25 in a second."""
+    """The fewest pictures in a control period, one each few substeps, that make 20 in a second."""
     wanted = FEWEST_FRAMES * env.control_period - 1e-9
     numbers = range(1, env.substeps + 1)
     return next(n for n in numbers if env.substeps % n == 0 and (n >= wanted or n == env.substeps))

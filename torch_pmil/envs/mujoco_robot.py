@@ -270,6 +270,6 @@ def _moving(model: mujoco.MjModel) -> tuple[np.ndarray, float]:
         return model.stat.center, model.stat.extent
     places, radii = data.geom_xpos[moves], model.geom_rbound[moves][:, None]
     low, high = (places - radii).min(0), (places + radii).max(0)
-    slides = (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE) & (model.jnt_limited > 0)
+    slides = (model.jnt_type == SLIDE) & (model.jnt_limited > 0)
     reach = np.abs(model.jnt_range[slides]).max(initial=0.0)
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2 + reach)

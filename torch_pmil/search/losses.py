@@ -95,7 +95,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         """
         states = self.predict_states(initial, horizon)
         steps = states.batch_shape[-1]
-        costs = self._by_kernels(states, replace(self._comparison(steps), cross_entropy=True))
+        costs = self._by_kernels(states, self._cross_entropy(steps))
         if costs is None:
             costs = gaussian_cross_entropy(self._observe(states), self._demonstrated(steps))
         return costs
@@ -122,8 +122,11 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
     def _comparison_of(self, method: object, horizon: int) -> Comparison | None:
         if method is TrajectoryKLLoss.cross_entropy_per_step:
-            return replace(self._comparison(horizon), cross_entropy=True)
+            return self._cross_entropy(horizon)
         return super()._comparison_of(method, horizon)
+
+    def _cross_entropy(self, horizon: int) -> Comparison:
+        return replace(self._comparison(horizon), cross_entropy=True)
 
     def _demonstrated(self, horizon: int) -> Gaussian:
         mean, cov = self.demonstrated_mean, self.demonstrated_cov

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_pmil.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.particles import sample_rollouts
+from torch_pmil.model.function_samples import sample_consistent_rollouts
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 SAMPLES = 500
@@ -49,8 +49,8 @@ class PredictedSuccess:
 class Promise:
     """A success rate from fresh starts, and the error by which trajectories are judged.
 
-    Starts are drawn from p(x_0), and steps from the model's posterior, so that what the model does
-    not know makes trajectories differ and fail. Moment matching would hide the few that go
+    Starts are drawn from p(x_0), and functions from the model's posterior, so that what the model
+    does not know makes trajectories differ and fail. Moment matching would hide the few that go
     elsewhere. A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
 
     Args:
@@ -84,7 +84,7 @@ class Promise:
         """Successes of the policy of ``loss`` under its model, from p(x_0)."""
         start, policy = loss.begin(initial)
         generator = torch.Generator().manual_seed(SEED)
-        states = sample_rollouts(
+        states = sample_consistent_rollouts(
             start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, generator
         )
         return PredictedSuccess(int((self.error(states) <= self.tolerance).sum()))

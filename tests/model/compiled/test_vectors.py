@@ -29,7 +29,15 @@ from torch_pmil.model.compiled.thin_products import (
     write_forms,
     write_powers,
 )
-from torch_pmil.model.compiled.vectors import _BEYOND, _LEAST, LOG2_E
+from torch_pmil.model.compiled.vectors import (
+    _BEYOND,
+    _LEAST,
+    LOG2_E,
+    WIDTH,
+    load,
+    sines_and_cosines,
+    store,
+)
 
 Array = NDArray[np.float64]
 
@@ -37,6 +45,15 @@ Array = NDArray[np.float64]
 @Kernel
 def powers(exponents: Array1, out: Array1) -> bool:
     write_powers(exponents, out)
+    return True
+
+
+@Kernel
+def waves(turns: Array1, sines: Array1, cosines: Array1) -> bool:
+    for j in range(0, len(turns), WIDTH):
+        sine, cosine = sines_and_cosines(load(turns, j))
+        store(sines, j, sine)
+        store(cosines, j, cosine)
     return True
 
 
@@ -79,7 +96,7 @@ def entry_by_entry(a: Array2, b: Array1, scaled: Array2, products: Array1, forms
     return True
 
 
-del KERNELS[-5:]  # they are no part of the prediction
+del KERNELS[-6:]  # they are no part of the prediction
 
 
 def powers_of(exponents: Array) -> Array:
@@ -134,6 +151,31 @@ def test_power_of_two_of_nan_is_nan_and_leaves_its_neighbours() -> None:
     known = ~np.isnan(x)
     assert (np.isnan(powers_of(x)) == ~known).all()
     np.testing.assert_allclose(powers_of(x)[known], np.exp2(x[known]), rtol=5e-16)
+
+
+def test_sines_and_cosines_are_those_of_fifty_digits() -> None:
+    """In all quarters, on both sides of their borders, and after many turns."""
+    borders = np.arange(-9, 10) / 2
+    many = np.array([1e3 + 0.3, -1e6 + 0.7, 2.0**40 + 0.5, -(2.0**50) + 1.0])
+    turns = np.concatenate([np.linspace(-5, 5, 1001), neighbours(borders), many])
+    turns = np.concatenate([turns, np.zeros(-len(turns) % WIDTH)])
+    sines, cosines = np.empty_like(turns), np.empty_like(turns)
+    waves(turns, sines, cosines)
+    with mpmath.workdps(50):
+        angles = [mpmath.pi / 2 * mpmath.mpf(float(turn)) for turn in turns]
+        for ours, exact in ((sines, mpmath.sin), (cosines, mpmath.cos)):
+            errors = [abs(mpmath.mpf(y) - exact(a)) for y, a in zip(ours, angles, strict=True)]
+            assert max(errors) <= 2 * np.finfo(float).eps
+
+
+def test_sine_and_cosine_of_nan_are_nan() -> None:
+    turns = np.where(np.arange(8) == 3, np.nan, 1.0)
+    sines, cosines = np.empty(8), np.empty(8)
+    waves(turns, sines, cosines)
+    for each in (sines, cosines):
+        assert (np.isnan(each) == np.isnan(turns)).all()
+        np.isnan(cosines) == np.isnan(turns)
+    ).all()
 
 
 def assert_rounded(ours: Array, expected: Array, of_magnitudes: Array, terms: int) -> None:

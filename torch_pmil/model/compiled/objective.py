@@ -12,20 +12,21 @@ from torch import Tensor
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.model.compiled.arrays import NetworkGradient
 from torch_pmil.model.compiled.costs import CostWork, write_costs, write_costs_of_means
-from torch_pmil.model.compiled.mean_trajectory import (
-    MeanTape,
-    MeanWork,
-    adjoint_of_mean,
-    predict_mean,
-)
 from torch_pmil.model.compiled.packing import (
     array,
     determinants_of,
+    mean_of,
     observation_of,
     robots_of,
     roots_of,
 )
 from torch_pmil.model.compiled.plans import Comparison, Parameters, Plan
+from torch_pmil.model.compiled.sampled_trajectory import (
+    ParticleTape,
+    ParticleWork,
+    adjoint_of_particles,
+    follow,
+)
 from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, predict
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
 
@@ -106,21 +107,21 @@ class CostsOfMeans:
 
     def __init__(self, robot: Robot, comparison: Comparison, start: Gaussian, T: int) -> None:
         D, self.robot = len(start.mean), robot
-        self.tape = MeanTape.of(robot, T)
-        self.tape.states[0] = array(start.mean)
-        self.works = MeanWork.of(robot.model), MeanWork.of(robot.network)
+        self.tape, self.work = ParticleTape.of(robot, 1, T), ParticleWork.of(robot)
+        self.mean, self.noise = mean_of(robot.model), np.zeros((1, T, robot.gain.shape[1]))
+        self.tape.states[0, 0] = array(start.mean)
         self.observation, self.roots = observation_of(comparison, (T,)), roots_of(comparison, (T,))
         self.saturating = comparison.demonstrated is None
         self.cost_work = CostWork.of(self.observation)
         self.out = np.empty(T), np.empty((T, D))
-        self.scratch = np.empty(len(robot.model.inputs)), np.empty(D), np.empty(D)
+        self.unbounded, self.of_start = np.zeros(D), np.empty((1, D))
 
     def __call__(self, gradient: NetworkGradient) -> np.ndarray:
         """As in :class:`CostsOfBeliefs`; they are always computed."""
         costs, d_states = self.out
-        predict_mean(self.robot, self.tape, *self.works)
-        states = self.tape.states[1:]
-        of_costs = states, self.saturating, self.cost_work
+        follow(self.robot, self.mean, self.noise, self.tape, self.work)
+        of_costs = self.tape.states[0, 1:], self.saturating, self.cost_work
         write_costs_of_means(self.observation, self.roots, *of_costs, *self.out)
-        adjoint_of_mean(self.robot, self.tape, d_states, *self.works, *self.scratch, gradient)
+        sweep = self.tape, d_states[None], self.unbounded, self.work
+        adjoint_of_particles(self.robot, *sweep, self.of_start, gradient)
         return costs

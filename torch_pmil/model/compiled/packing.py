@@ -16,19 +16,22 @@ from torch_pmil.gp.trigonometry import Augmentation
 from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import Array, Array1, Array2, Array3
 from torch_pmil.model.compiled.costs import Observation
-from torch_pmil.model.compiled.plans import Comparison, Plan
+from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
+from torch_pmil.model.compiled.sampled_trajectory import QUARTER, Draws
 from torch_pmil.model.compiled.trajectory import Robot, Steps
-from torch_pmil.model.compiled.vectors import WIDTH
+from torch_pmil.model.compiled.vectors import LOG2_E, WIDTH
 
 Parameters = Sequence[Tensor]  # centres, weights and widths of a policy
 DEMONSTRATED = "demonstrated covariance"
 
 
-def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
-    """What the kernels predict with, for each belief."""
+def robots_of(
+    plan: Plan, parameters: Parameters, beliefs: int, moments: bool = True
+) -> list[Robot]:
+    """What the kernels predict with, for each belief, or for states if ``moments`` is False."""
     centres, weights, widths = (parameter.detach() for parameter in parameters)
     f, controller = plan.model, plan.controller
-    model = functions_of(f)
+    model = functions_of(f) if moments else _packed(replace(f, gram_inverse=None))
     model = model._replace(
         inputs=_from_middle(model.inputs, array(controller.u_middle)),
         variance=array(f.prior_variance(plan.observation_noise)),
@@ -45,6 +48,40 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
         Robot(model, network, limits, rows, turns, kept, matrix, gain, drift, steps)
         for network in (packed if len(packed) > 1 else packed * beliefs)
     ]
+
+
+def mean_of(model: Functions) -> Draws:
+    """The mean of a robot's model, as one function."""
+    signal, none = np.exp(model.log_signal)[:, None], zeros(1, len(model.weights), 0)
+    waves = zeros(len(model.weights), len(model.inputs), 0)
+    return _draws(model, waves, none, none, (model.weights * signal)[None])
+
+
+def draws_of(model: Functions, drawn: Drawn, middle: Tensor) -> Draws:
+    """Functions that were drawn from a robot's model, with ``middle`` of its actions' ranges."""
+    frequencies, J = drawn.frequencies, drawn.frequencies.shape[1]
+    turn = frequencies[..., -len(middle) :] @ middle  # (E, J): inputs are around the middle
+    cosines, sines = drawn.weights.split(J, -1)
+    moved = cosines * turn.cos() + sines * turn.sin(), sines * turn.cos() - cosines * turn.sin()
+    of_prior = frequencies.mT / QUARTER, *moved
+    waves, cosine, sine, updates = (_filled_up(array(each)) for each in (*of_prior, drawn.updates))
+    return _draws(model, waves, cosine, sine, updates * np.exp(model.log_signal)[:, None])
+
+
+def _draws(
+    model: Functions, waves: Array3, cosines: Array3, sines: Array3, weights: Array3
+) -> Draws:
+    scales = np.sqrt(0.5 * LOG2_E / model.squares)
+    inputs = -scales[:, :, None] * model.inputs
+    return Draws(waves, cosines, sines, scales, inputs, weights, model.offset)
+
+
+def _filled_up(values: Array3) -> Array3:
+    """Values (a, b, n), with zeros up to a multiple of eight."""
+    *shape, n = values.shape
+    filled = zeros(*shape, n + -n % WIDTH)
+    filled[..., :n] = values
+    return filled
 
 
 def _from_middle(inputs: Array2, middle: Array1) -> Array2:

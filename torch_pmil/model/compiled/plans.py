@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from torch import Tensor
 
@@ -24,6 +25,22 @@ class Plan:
     controller: Controller
     horizon: int  # T
     observation_noise: bool = True  # whether the states' variances hold the model's noise
+
+
+class Drawn(Protocol):
+    """Functions drawn from a posterior, as :class:`FunctionSamples` holds them."""
+
+    @property
+    def frequencies(self) -> Tensor:
+        """(E, J, D' + F)."""
+
+    @property
+    def weights(self) -> Tensor:
+        """Of cosines and sines, (N, E, 2 J)."""
+
+    @property
+    def updates(self) -> Tensor:
+        """Weights of the data, (N, E, n)."""
 
 
 @dataclass(frozen=True, eq=False)

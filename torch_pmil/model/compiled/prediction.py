@@ -16,22 +16,24 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.model.compiled.arrays import NetworkGradient
 from torch_pmil.model.compiled.building import compile_all as compile_all
 from torch_pmil.model.compiled.costs import CostWork, write_costs, write_costs_of_means
-from torch_pmil.model.compiled.mean_trajectory import (
-    MeanTape,
-    MeanWork,
-    adjoint_of_mean,
-    predict_mean,
-)
 from torch_pmil.model.compiled.objective import PolicyObjective as PolicyObjective
 from torch_pmil.model.compiled.packing import (
     array,
     determinants_of,
+    draws_of,
     gradients_of,
+    mean_of,
     observation_of,
     robots_of,
     roots_of,
 )
-from torch_pmil.model.compiled.plans import Comparison, Plan
+from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
+from torch_pmil.model.compiled.sampled_trajectory import (
+    ParticleTape,
+    ParticleWork,
+    adjoint_of_particles,
+    follow,
+)
 from torch_pmil.model.compiled.trajectory import StepWork, Tape, predict
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
 
@@ -51,7 +53,16 @@ def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
 
 def predict_states(start: Tensor, plan: Plan) -> Tensor:
     """States of the model's mean alone, (N, T, D), from N states (N, D); some may not be finite."""
-    return _States.apply(plan, start, *plan.controller.parameters)
+    noise = start.new_zeros(1, len(start), plan.horizon, plan.model.num_outputs)
+    given = plan, None, noise, start.new_zeros(start.shape[-1]), start[None]
+    return _States.apply(*given, *plan.controller.parameters)[0]
+
+
+def follow_functions(
+    start: Tensor, plan: Plan, drawn: Drawn, noise: Tensor, units: Tensor
+) -> Tensor:
+    """States (N, B, T, D) of particles from starts (N, B, D) that follow drawn functions."""
+    return _States.apply(plan, drawn, noise, units, start, *plan.controller.parameters)
 
 
 class _Beliefs(torch.autograd.Function):
@@ -101,30 +112,46 @@ class _Beliefs(torch.autograd.Function):
 
 
 class _States(torch.autograd.Function):
-    """:func:`predict_states`, as :class:`_Beliefs`."""
+    """States (N, B, T, D) of N particles from B starts each, as :class:`_Beliefs`.
+
+    Functions are drawn, or the mean of the plan's model; noise is (N, B, T, E).
+    """
 
     @staticmethod
-    def forward(ctx: Any, plan: Plan, start: Tensor, *parameters: Tensor) -> Tensor:
-        robots = robots_of(plan, parameters, len(start))
-        tapes = [MeanTape.of(robot, plan.horizon) for robot in robots]
-        for i, (robot, tape) in enumerate(zip(robots, tapes, strict=True)):
-            tape.states[0] = start[i].numpy()
-            predict_mean(robot, tape, MeanWork.of(robot.model), MeanWork.of(robot.network))
-        ctx.robots, ctx.tapes = robots, tapes
+    def forward(
+        ctx: Any,
+        plan: Plan,
+        drawn: Drawn | None,
+        noise: Tensor,
+        units: Tensor,
+        start: Tensor,
+        *parameters: Tensor,
+    ) -> Tensor:
+        (N, B), T = start.shape[:2], plan.horizon
+        robots = robots_of(plan, parameters, B, moments=False)
+        model, middle = robots[0].model, plan.controller.u_middle
+        draws = mean_of(model) if drawn is None else draws_of(model, drawn, middle)
+        tapes = [ParticleTape.of(robot, N, T) for robot in robots]
+        starts, noises = array(start.transpose(0, 1)), array(noise.transpose(0, 1))
+        for robot, tape, of_start, of_noise in zip(robots, tapes, starts, noises, strict=True):
+            tape.states[:, 0] = of_start
+            follow(robot, draws, of_noise, tape, ParticleWork.of(robot))
+        ctx.robots, ctx.tapes, ctx.units = robots, tapes, array(units)
         ctx.save_for_backward(*parameters)
-        states = np.stack([tape.states[1:] for tape in tapes])
-        return torch.from_numpy(states)
+        return torch.from_numpy(np.stack([tape.states[:, 1:] for tape in tapes], 1))
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        d_states, d_start = array(gradient), np.empty((len(gradient), gradient.shape[-1]))
+        (N, B, _, D), d_states = gradient.shape, array(gradient.transpose(0, 1))
+        d_start = np.empty((B, N, D))
         gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
         for i, (robot, tape) in enumerate(zip(ctx.robots, ctx.tapes, strict=True)):
-            works = MeanWork.of(robot.model), MeanWork.of(robot.network)
-            scratch = np.empty(len(robot.model.inputs)), np.empty(len(robot.known))
-            adjoint_of_mean(robot, tape, d_states[i], *works, *scratch, d_start[i], gradients[i])
-        return None, torch.from_numpy(d_start), *gradients_of(gradients, ctx.saved_tensors)
+            sweep = tape, d_states[i], ctx.units, ParticleWork.of(robot)
+            adjoint_of_particles(robot, *sweep, d_start[i], gradients[i])
+        of_start = torch.from_numpy(d_start).transpose(0, 1)
+        of_parameters = gradients_of(gradients, ctx.saved_tensors)
+        return None, None, None, None, of_start, *of_parameters
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:

@@ -44,6 +44,25 @@ _COEFFICIENTS = (
 )
 LOG2_E = 1.4426950408889634
 _ROUNDER = 1.5 * 2.0**52  # a double plus this is rounded to an integer, in its last bits
+# sin(pi r / 2) = r s(r²) and cos(pi r / 2) = c(r²) for |r| <= 1/2, the same way: 0.2 ulp
+_SINE = (
+    1.5707963267948966,
+    -0.6459640975062443,
+    0.07969262624604301,
+    -0.004681754132340976,
+    0.0001604411507421909,
+    -3.59864335298231e-06,
+    5.633933781537854e-08,
+)
+_COSINE = (
+    1.0,
+    -1.2337005501361513,
+    0.25366950789986475,
+    -0.02086348073494657,
+    0.000919259950041661,
+    -2.520013526428479e-05,
+    4.6552961874867623e-07,
+)
 _LEAST, _BEYOND = -1022.0, 1024.0  # least normal power of two, and the first that is no double
 
 
@@ -147,15 +166,48 @@ def power_of_two(typing: Any, exponents: Any) -> Emitter:
         for sign, bound in (("<", _LEAST), (">", _BEYOND)):  # as one instruction each; NaN stays
             beyond = builder.fcmp_ordered(sign, x, _constant(bound))
             x = builder.select(beyond, _constant(bound), x)
-        rounded = builder.fadd(x, _constant(_ROUNDER))
-        rest = builder.fsub(x, builder.fsub(rounded, _constant(_ROUNDER)))
-        value = _constant(_COEFFICIENTS[-1])
-        for coefficient in _COEFFICIENTS[-2::-1]:
-            value = _multiply_add(builder, value, rest, _constant(coefficient))
-        shift = builder.shl(builder.bitcast(rounded, _INTEGERS), _INTEGERS([52] * WIDTH))
+        whole, rest = _rounded(builder, x)
+        value = _polynomial(builder, _COEFFICIENTS, rest)
+        shift = builder.shl(whole, _INTEGERS([52] * WIDTH))
         return builder.bitcast(builder.add(builder.bitcast(value, _INTEGERS), shift), _DOUBLES)
 
     return vector(vector), emit
+
+
+@intrinsic
+def sines_and_cosines(typing: Any, turns: Any) -> Emitter:
+    """Sines and cosines of eight angles in quarter turns, below 2^50, within 2 ulp of one."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        whole, rest = _rounded(builder, arguments[0])
+        square = builder.fmul(rest, rest)
+        sine = builder.fmul(rest, _polynomial(builder, _SINE, square))
+        cosine = _polynomial(builder, _COSINE, square)
+        one, two, to_sign = (_INTEGERS([number] * WIDTH) for number in (1, 2, 62))
+        odd = builder.icmp_unsigned("!=", builder.and_(whole, one), _INTEGERS([0] * WIDTH))
+        results = []
+        further = builder.add(whole, one)  # the cosine is the sine of an angle a quarter larger
+        for quarter, even_one, odd_one in ((whole, sine, cosine), (further, cosine, sine)):
+            sign = builder.shl(builder.and_(quarter, two), to_sign)
+            value = builder.bitcast(builder.select(odd, odd_one, even_one), _INTEGERS)
+            results.append(builder.bitcast(builder.xor(value, sign), _DOUBLES))
+        return context.make_tuple(builder, signature.return_type, results)
+
+    return types.UniTuple(vector, 2)(vector), emit
+
+
+def _rounded(builder: Any, x: Any) -> tuple[Any, Any]:
+    """Integers whose last bits are those of the nearest whole numbers, and what these leave."""
+    moved = builder.fadd(x, _constant(_ROUNDER))
+    rest = builder.fsub(x, builder.fsub(moved, _constant(_ROUNDER)))
+    return builder.bitcast(moved, _INTEGERS), rest
+
+
+def _polynomial(builder: Any, coefficients: tuple[float, ...], x: Any) -> Any:
+    value = _constant(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = _multiply_add(builder, value, x, _constant(coefficient))
+    return value
 
 
 def _address(context: Any, builder: Any, signature: Any, arguments: Any, kind: Any) -> Any:

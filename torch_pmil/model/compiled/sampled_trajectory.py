@@ -7,7 +7,7 @@ the posterior's weights, it is the model's mean.
 from __future__ import annotations
 
 from math import cos, log, pi, sin, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import (
@@ -21,14 +21,7 @@ from torch_pmil.model.compiled.building import (
 )
 from torch_pmil.model.compiled.cosines import write_waves
 from torch_pmil.model.compiled.matching import centre
-from torch_pmil.model.compiled.thin_products import (
-    add_multiple,
-    add_squares,
-    fill,
-    multiply_entries,
-    sum_products,
-    write_powers,
-)
+from torch_pmil.model.compiled.thin_products import fill
 from torch_pmil.model.compiled.trajectory import Robot
 from torch_pmil.model.compiled.vectors import (
     LOG2_E,
@@ -46,6 +39,7 @@ from torch_pmil.model.compiled.vectors import (
 )
 
 OF_EXPONENT = -2.0 * log(2.0)  # slope of 2^-x² over x times itself
+OF_NU = 2.0 * log(2.0)  # slope of 2^(f x²) over f x times itself
 QUARTER = pi / 2.0
 
 
@@ -82,10 +76,10 @@ class ParticleWork(NamedTuple):
     """Scratch for one step of one particle."""
 
     nu: Array2  # centres of the network less the point, (D', m)
-    exponents: Array1  # (m,)
-    kernel: Array1  # (m,)
+    factors: Array1  # of the squares of these in an exponent of two, (D',)
     point: Array1  # scaled inputs, (D' + F,)
-    sums: Array2  # (D' + F, 8)
+    sums: Array2  # what results sum up in each eighth of the data, (D' + F, 8)
+    squares: Array2  # the same, (D', 8)
     d_inputs: Array1  # (D' + F,)
     d_next: Array1  # (D,)
 
@@ -93,7 +87,8 @@ class ParticleWork(NamedTuple):
     def of(cls, robot: Robot) -> ParticleWork:
         """Room for this robot."""
         (R, m), F = robot.network.inputs.shape, len(robot.u_max)
-        shapes = (R, m), (m,), (m,), (R + F,), (R + F, WIDTH), (R + F,), (len(robot.known),)
+        sums = (R + F, WIDTH), (R, WIDTH)
+        shapes = (R, m), (R,), (R + F,), *sums, (R + F,), (len(robot.known),)
         return cls(*(zeros(*shape) for shape in shapes))
 
 
@@ -132,32 +127,51 @@ def _write_inputs(
         inputs[len(robot.rows) + k] = robot.u_max[k] * sin(raw[k])
 
 
-@compiled
+@part
 def _network_value(f: Functions, k: int, work: ParticleWork) -> float:
-    """Output k of the network at the point; its kernel stays in ``work``."""
-    nu, exponents, squares = work.nu, work.exponents, f.squares[k]
-    fill(exponents, LOG2_E * f.log_signal[k])
-    for d in range(len(nu)):
-        add_squares(-0.5 * LOG2_E / squares[d], nu[d], exponents)
-    write_powers(exponents, work.kernel)
-    return f.offset[k] + sum_products(f.weights[k], work.kernel)
+    """Output k of the network at the point."""
+    for d in range(len(work.nu)):
+        work.factors[d] = -0.5 * LOG2_E / f.squares[k, d]
+    kernels = work.nu, work.factors, LOG2_E * f.log_signal[k]
+    return f.offset[k] + _weighted_kernels(*kernels, f.weights[k])
 
 
 @compiled
+def _weighted_kernels(nu: Array2, factors: Array1, constant: float, weights: Array1) -> float:
+    """The sum of weights (m,) times two to the power of a constant and of scaled squares."""
+    value = splat(0.0)
+    for j in range(0, len(weights), WIDTH):
+        kernel = power_of_two(_exponents(nu, factors, constant, j))
+        value = multiply_add(load(weights, j), kernel, value)
+    return total(value)
+
+
+@part
+def _exponents(nu: Array2, factors: Array1, constant: float, j: int) -> Any:
+    """Eight exponents of kernels, from datum j on."""
+    exponents = splat(constant)
+    for d in range(len(factors)):
+        x = load(nu, d * nu.shape[1] + j)
+        exponents = multiply_add(multiply(spread(factors, d), x), x, exponents)
+    return exponents
+
+
+@part
 def _output(
     draws: Draws, i: int, a: int, inputs: Array1, slope: Array1, work: ParticleWork
 ) -> float:
     """Output a of function i, and its slope (D' + F,)."""
     sums, point, scales = work.sums, work.point, draws.scales[a]
     fill(sums, 0.0)
-    value = _add_waves(draws.waves[a], draws.cosines[i, a], draws.sines[i, a], inputs, sums)
     for d in range(len(inputs)):
-        slope[d] = QUARTER * total(load(sums, d * WIDTH))
         point[d] = scales[d] * inputs[d]
-    fill(sums, 0.0)
-    value += _add_kernels(draws.inputs[a], draws.weights[i, a], point, sums)
+    value = _add_kernels(draws.inputs[a], draws.weights[i, a], point, sums)
     for d in range(len(inputs)):
-        slope[d] += OF_EXPONENT * scales[d] * total(load(sums, d * WIDTH))
+        of_input = splat(OF_EXPONENT * scales[d])
+        store(sums, d * WIDTH, multiply(of_input, load(sums, d * WIDTH)))
+    value += _add_waves(draws.waves[a], draws.cosines[i, a], draws.sines[i, a], inputs, sums)
+    for d in range(len(inputs)):
+        slope[d] = total(load(sums, d * WIDTH))
     return value + draws.offset[a]
 
 
@@ -172,8 +186,8 @@ def _add_waves(waves: Array2, cosines: Array1, sines: Array1, point: Array1, sum
         sine, cosine = sines_and_cosines(phase)
         of_cosine, of_sine = load(cosines, j), load(sines, j)
         value = multiply_add(of_cosine, cosine, multiply_add(of_sine, sine, value))
-        turned = multiply(multiply(splat(-1.0), of_cosine), sine)
-        turned = multiply_add(of_sine, cosine, turned)
+        turned = multiply_add(of_sine, cosine, multiply(multiply(splat(-1.0), of_cosine), sine))
+        turned = multiply(splat(QUARTER), turned)
         for d in range(len(point)):
             slope = multiply_add(turned, load(waves, d * count + j), load(sums, d * WIDTH))
             store(sums, d * WIDTH, slope)
@@ -270,14 +284,48 @@ def _adjoint_of_network_value(
     f: Functions, k: int, scale: float, work: ParticleWork, out: NetworkGradient
 ) -> None:
     """Add the scale times the derivatives of output k by the point and by the network."""
-    nu, kernel, product, squares = work.nu, work.kernel, work.exponents, f.squares[k]
-    of_inputs, of_squares = out.inputs, out.squares[k]
-    _network_value(f, k, work)
-    add_multiple(scale, kernel, out.weights[k])
-    multiply_entries(f.weights[k], kernel, kernel)
-    for d in range(len(nu)):
-        square = squares[d]
-        multiply_entries(nu[d], kernel, product)
-        work.d_inputs[d] += scale * sum_products(nu[d], kernel) / square
-        add_multiple(-scale / square, product, of_inputs[d])
-        of_squares[d] += scale * sum_products(nu[d], product) / square / square / 2.0
+    factors, sums, of_squares = work.factors, work.sums, out.squares[k]
+    for d in range(len(work.nu)):
+        factors[d] = -0.5 * LOG2_E / f.squares[k, d]
+    fill(sums, 0.0)
+    fill(work.squares, 0.0)
+    kernels = work.nu, factors, LOG2_E * f.log_signal[k]
+    _add_derivatives(*kernels, f.weights[k], scale, sums, work.squares, out.weights[k], out.inputs)
+    for d in range(len(work.nu)):
+        square = f.squares[k, d]
+        work.d_inputs[d] += total(load(sums, d * WIDTH)) / square
+        of_squares[d] += total(load(work.squares, d * WIDTH)) / square / square / 2.0
+
+
+@compiled
+def _add_derivatives(
+    nu: Array2,
+    factors: Array1,
+    constant: float,
+    weights: Array1,
+    scale: float,
+    sums: Array2,
+    squares: Array2,
+    of_weights: Array1,
+    of_inputs: Array2,
+) -> None:
+    """Add a scale times the derivatives of :func:`_weighted_kernels` to weights and inputs.
+
+    To ``sums`` and ``squares`` the terms are added, times distances and times their squares.
+    """
+    count = len(weights)
+    for j in range(0, count, WIDTH):
+        kernel = multiply(splat(scale), power_of_two(_exponents(nu, factors, constant, j)))
+        store(of_weights, j, add(kernel, load(of_weights, j)))
+        term = multiply(load(weights, j), kernel)
+        for d in range(len(factors)):
+            k, x = d * WIDTH, load(nu, d * count + j)
+            moment = multiply(term, x)
+            store(sums, k, add(moment, load(sums, k)))
+            store(squares, k, multiply_add(moment, x, load(squares, k)))
+            of_centre = multiply(spread(factors, d), moment)
+            store(
+                of_inputs,
+                d * count + j,
+                multiply_add(splat(OF_NU), of_centre, load(of_inputs, d * count + j)),
+            )

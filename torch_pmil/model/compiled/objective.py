@@ -24,8 +24,8 @@ from torch_pmil.model.compiled.plans import Comparison, Parameters, Plan
 from torch_pmil.model.compiled.sampled_trajectory import (
     ParticleTape,
     ParticleWork,
-    adjoint_of_particles,
     follow,
+    roll_back,
 )
 from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, predict
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
@@ -107,8 +107,8 @@ class CostsOfMeans:
 
     def __init__(self, robot: Robot, comparison: Comparison, start: Gaussian, T: int) -> None:
         D, self.robot = len(start.mean), robot
-        self.tape, self.work = ParticleTape.of(robot, 1, T), ParticleWork.of(robot)
         self.mean, self.noise = mean_of(robot.model), np.zeros((1, T, robot.gain.shape[1]))
+        self.tape, self.work = ParticleTape.of(robot, 1, T), ParticleWork.of(robot, self.mean)
         self.tape.states[0, 0] = array(start.mean)
         self.observation, self.roots = observation_of(comparison, (T,)), roots_of(comparison, (T,))
         self.saturating = comparison.demonstrated is None
@@ -122,6 +122,6 @@ class CostsOfMeans:
         follow(self.robot, self.mean, self.noise, self.tape, self.work)
         of_costs = self.tape.states[0, 1:], self.saturating, self.cost_work
         write_costs_of_means(self.observation, self.roots, *of_costs, *self.out)
-        sweep = self.tape, d_states[None], self.unbounded, self.work
-        adjoint_of_particles(self.robot, *sweep, self.of_start, gradient)
+        sweep = self.tape, d_states[None], self.unbounded
+        roll_back(self.robot, *sweep, self.of_start, gradient)
         return costs

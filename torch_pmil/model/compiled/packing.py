@@ -17,7 +17,7 @@ from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import Array, Array1, Array2, Array3
 from torch_pmil.model.compiled.costs import Observation
 from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
-from torch_pmil.model.compiled.sampled_trajectory import QUARTER, Draws
+from torch_pmil.model.compiled.sampled_trajectory import Draws, as_rows, filled_up
 from torch_pmil.model.compiled.trajectory import Robot, Steps
 from torch_pmil.model.compiled.vectors import LOG2_E, WIDTH
 
@@ -63,23 +63,25 @@ def draws_of(model: Functions, drawn: Drawn, middle: Tensor) -> Draws:
     turn = frequencies[..., -len(middle) :] @ middle  # (E, J): inputs are around the middle
     cosines, sines = drawn.weights.split(J, -1)
     moved = cosines * turn.cos() + sines * turn.sin(), sines * turn.cos() - cosines * turn.sin()
-    of_prior = frequencies.mT / QUARTER, *moved
-    waves, cosine, sine, updates = (_filled_up(array(each)) for each in (*of_prior, drawn.updates))
+    parts = frequencies.mT, *moved, drawn.updates
+    waves, cosine, sine, updates = (_with_zeros(array(each)) for each in parts)
     return _draws(model, waves, cosine, sine, updates * np.exp(model.log_signal)[:, None])
 
 
 def _draws(
     model: Functions, waves: Array3, cosines: Array3, sines: Array3, weights: Array3
 ) -> Draws:
-    scales = np.sqrt(0.5 * LOG2_E / model.squares)
-    inputs = -scales[:, :, None] * model.inputs
-    return Draws(waves, cosines, sines, scales, inputs, weights, model.offset)
+    scales, origin = np.sqrt(0.5 * LOG2_E / model.squares), model.inputs.mean(1)
+    around = model.inputs - origin[:, None]
+    of_prior = waves / (np.pi / 2), as_rows(waves), cosines, sines
+    data = -scales[:, :, None] * around, as_rows(around)
+    return Draws(*of_prior, origin, scales, *data, weights, model.offset)
 
 
-def _filled_up(values: Array3) -> Array3:
+def _with_zeros(values: Array3) -> Array3:
     """Values (a, b, n), with zeros up to a multiple of eight."""
     *shape, n = values.shape
-    filled = zeros(*shape, n + -n % WIDTH)
+    filled = zeros(*shape, filled_up(n))
     filled[..., :n] = values
     return filled
 

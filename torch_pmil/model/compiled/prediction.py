@@ -31,8 +31,8 @@ from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
 from torch_pmil.model.compiled.sampled_trajectory import (
     ParticleTape,
     ParticleWork,
-    adjoint_of_particles,
     follow,
+    roll_back,
 )
 from torch_pmil.model.compiled.trajectory import StepWork, Tape, predict
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
@@ -135,7 +135,7 @@ class _States(torch.autograd.Function):
         starts, noises = array(start.transpose(0, 1)), array(noise.transpose(0, 1))
         for robot, tape, of_start, of_noise in zip(robots, tapes, starts, noises, strict=True):
             tape.states[:, 0] = of_start
-            follow(robot, draws, of_noise, tape, ParticleWork.of(robot))
+            follow(robot, draws, of_noise, tape, ParticleWork.of(robot, draws))
         ctx.robots, ctx.tapes, ctx.units = robots, tapes, array(units)
         ctx.save_for_backward(*parameters)
         return torch.from_numpy(np.stack([tape.states[:, 1:] for tape in tapes], 1))
@@ -147,8 +147,7 @@ class _States(torch.autograd.Function):
         d_start = np.empty((B, N, D))
         gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
         for i, (robot, tape) in enumerate(zip(ctx.robots, ctx.tapes, strict=True)):
-            sweep = tape, d_states[i], ctx.units, ParticleWork.of(robot)
-            adjoint_of_particles(robot, *sweep, d_start[i], gradients[i])
+            roll_back(robot, tape, d_states[i], ctx.units, d_start[i], gradients[i])
         of_start = torch.from_numpy(d_start).transpose(0, 1)
         of_parameters = gradients_of(gradients, ctx.saved_tensors)
         return None, None, None, None, of_start, *of_parameters

@@ -6,8 +6,10 @@ the posterior's weights, it is the model's mean.
 
 from __future__ import annotations
 
-from math import cos, log, pi, sin, sqrt
-from typing import Any, NamedTuple
+from math import cos, log, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
 
 from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import (
@@ -20,8 +22,7 @@ from torch_pmil.model.compiled.building import (
     part,
 )
 from torch_pmil.model.compiled.cosines import write_waves
-from torch_pmil.model.compiled.matching import centre
-from torch_pmil.model.compiled.thin_products import fill
+from torch_pmil.model.compiled.thin_products import add_multiple, fill
 from torch_pmil.model.compiled.trajectory import Robot
 from torch_pmil.model.compiled.vectors import (
     LOG2_E,
@@ -39,18 +40,19 @@ from torch_pmil.model.compiled.vectors import (
 )
 
 OF_EXPONENT = -2.0 * log(2.0)  # slope of 2^-x² over x times itself
-OF_NU = 2.0 * log(2.0)  # slope of 2^(f x²) over f x times itself
-QUARTER = pi / 2.0
 
 
 class Draws(NamedTuple):
-    """N functions of D' + F inputs, and of E outputs."""
+    """N functions of D' + F inputs, and of E outputs; rows have W numbers, filled up with zeros."""
 
     waves: Array3  # frequencies in quarter turns, (E, D' + F, J)
+    rows_of_waves: Array3  # the same in rad, (E, J, W)
     cosines: Array3  # weights, (N, E, J)
     sines: Array3
+    origin: Array1  # of the data, (D' + F,)
     scales: Array2  # by which inputs are multiplied, (E, D' + F)
-    inputs: Array3  # data times the scales, negative, (E, D' + F, n)
+    data: Array3  # inputs around the origin times the scales, negative, (E, D' + F, n)
+    rows_of_data: Array2  # inputs around the origin, (n, W)
     weights: Array3  # of 2^-|x|², x being a scaled distance from a datum, (N, E, n)
     offset: Array1  # (E,)
 
@@ -60,7 +62,7 @@ class ParticleTape(NamedTuple):
 
     states: Array3  # at t = 0..T, (N, T + 1, D)
     inputs: Array3  # features and action, (N, T, D' + F)
-    slopes: Array4  # of the outputs in these, (N, T, E, D' + F)
+    slopes: Array4  # of the outputs in these, (N, T, E, W)
     gain: Array3  # derivatives of the features by their phases, (N, T, D')
     raw: Array3  # actions before squashing, (N, T, F)
 
@@ -68,28 +70,43 @@ class ParticleTape(NamedTuple):
     def of(cls, robot: Robot, particles: int, horizon: int) -> ParticleTape:
         """Room for so many particles and steps."""
         (R, D), F, E = robot.rows.shape, len(robot.u_max), robot.gain.shape[1]
-        shapes = (horizon + 1, D), (horizon, R + F), (horizon, E, R + F), (horizon, R), (horizon, F)
+        slopes = horizon, E, filled_up(R + F)
+        shapes = (horizon + 1, D), (horizon, R + F), slopes, (horizon, R), (horizon, F)
         return cls(*(zeros(particles, *shape) for shape in shapes))
 
 
 class ParticleWork(NamedTuple):
     """Scratch for one step of one particle."""
 
-    nu: Array2  # centres of the network less the point, (D', m)
-    factors: Array1  # of the squares of these in an exponent of two, (D',)
-    point: Array1  # scaled inputs, (D' + F,)
-    sums: Array2  # what results sum up in each eighth of the data, (D' + F, 8)
-    squares: Array2  # the same, (D', 8)
-    d_inputs: Array1  # (D' + F,)
+    factors: Array1  # of squared distances in an exponent of two, (D',)
+    point: Array1  # inputs, scaled or negative, (D' + F,)
+    terms: Array1  # of a sum over waves, data or centres, as many as the most of them
+    d_inputs: Array1  # (W,)
+    d_centres: Array1  # (W,)
     d_next: Array1  # (D,)
 
     @classmethod
-    def of(cls, robot: Robot) -> ParticleWork:
-        """Room for this robot."""
-        (R, m), F = robot.network.inputs.shape, len(robot.u_max)
-        sums = (R + F, WIDTH), (R, WIDTH)
-        shapes = (R, m), (R,), (R + F,), *sums, (R + F,), (len(robot.known),)
-        return cls(*(zeros(*shape) for shape in shapes))
+    def of(cls, robot: Robot, draws: Draws | None = None) -> ParticleWork:
+        """Room for this robot, and for these functions if they are to be followed."""
+        (R, D), F, terms = robot.rows.shape, len(robot.u_max), robot.network.inputs.shape[1]
+        if draws is not None:
+            terms = max(terms, draws.waves.shape[2], len(draws.rows_of_data))
+        inputs = filled_up(R + F)
+        shapes = R, R + F, terms, inputs, inputs, D
+        return cls(*(zeros(shape) for shape in shapes))
+
+
+def filled_up(count: int) -> int:
+    """The next multiple of eight."""
+    return count + -count % WIDTH
+
+
+def as_rows(values: np.ndarray) -> np.ndarray:
+    """Numbers (..., D, n) as n rows, filled up with zeros, (..., n, W)."""
+    *shape, size, n = values.shape
+    rows = zeros(*shape, n, filled_up(size))
+    rows[..., :size] = values.swapaxes(-1, -2)
+    return rows
 
 
 @Kernel
@@ -121,63 +138,71 @@ def _write_inputs(
 ) -> None:
     """Features of a state and the action there, around the middle of its range."""
     write_waves(robot.rows, robot.turns, robot.kept, state, inputs, gain)
-    centre(robot.network.inputs, inputs, work.nu)
+    network, R = robot.network, len(robot.rows)
     for k in range(len(raw)):
-        raw[k] = _network_value(robot.network, k, work)
-        inputs[len(robot.rows) + k] = robot.u_max[k] * sin(raw[k])
+        _write_distance(network, k, inputs, work)
+        of_kernels = network.inputs, work.point, work.factors, LOG2_E * network.log_signal[k]
+        value = _write_terms_of_network(*of_kernels, network.weights[k], 1.0, work.terms)
+        raw[k] = network.offset[k] + value
+        inputs[R + k] = robot.u_max[k] * sin(raw[k])
 
 
 @part
-def _network_value(f: Functions, k: int, work: ParticleWork) -> float:
-    """Output k of the network at the point."""
-    for d in range(len(work.nu)):
-        work.factors[d] = -0.5 * LOG2_E / f.squares[k, d]
-    kernels = work.nu, work.factors, LOG2_E * f.log_signal[k]
-    return f.offset[k] + _weighted_kernels(*kernels, f.weights[k])
+def _write_distance(network: Functions, k: int, inputs: Array1, work: ParticleWork) -> None:
+    """The negative point and the factors of its squared distances from the centres."""
+    for d in range(len(work.factors)):
+        work.point[d] = -inputs[d]
+        work.factors[d] = -0.5 * LOG2_E / network.squares[k, d]
 
 
 @compiled
-def _weighted_kernels(nu: Array2, factors: Array1, constant: float, weights: Array1) -> float:
-    """The sum of weights (m,) times two to the power of a constant and of scaled squares."""
-    value = splat(0.0)
-    for j in range(0, len(weights), WIDTH):
-        kernel = power_of_two(_exponents(nu, factors, constant, j))
+def _write_terms_of_network(
+    centres: Array2,
+    point: Array1,
+    factors: Array1,
+    constant: float,
+    weights: Array1,
+    scale: float,
+    terms: Array1,
+) -> float:
+    """Kernels times a scale, and the sum of these times the weights."""
+    count, value = len(weights), splat(0.0)
+    for j in range(0, count, WIDTH):
+        exponents = splat(constant)
+        for d in range(len(factors)):
+            distance = add(load(centres, d * count + j), spread(point, d))
+            exponents = multiply_add(multiply(spread(factors, d), distance), distance, exponents)
+        kernel = multiply(splat(scale), power_of_two(exponents))
+        store(terms, j, kernel)
         value = multiply_add(load(weights, j), kernel, value)
     return total(value)
-
-
-@part
-def _exponents(nu: Array2, factors: Array1, constant: float, j: int) -> Any:
-    """Eight exponents of kernels, from datum j on."""
-    exponents = splat(constant)
-    for d in range(len(factors)):
-        x = load(nu, d * nu.shape[1] + j)
-        exponents = multiply_add(multiply(spread(factors, d), x), x, exponents)
-    return exponents
 
 
 @part
 def _output(
     draws: Draws, i: int, a: int, inputs: Array1, slope: Array1, work: ParticleWork
 ) -> float:
-    """Output a of function i, and its slope (D' + F,)."""
-    sums, point, scales = work.sums, work.point, draws.scales[a]
-    fill(sums, 0.0)
+    """Output a of function i, and its slope (W,)."""
+    point, terms, scales, origin = work.point, work.terms, draws.scales[a], draws.origin
+    fill(slope, 0.0)
     for d in range(len(inputs)):
-        point[d] = scales[d] * inputs[d]
-    value = _add_kernels(draws.inputs[a], draws.weights[i, a], point, sums)
+        point[d] = scales[d] * (inputs[d] - origin[d])
+    of_data = _write_terms_of_data(draws.data[a], draws.weights[i, a], point, terms)
+    add_rows(terms, draws.rows_of_data, slope)
     for d in range(len(inputs)):
-        of_input = splat(OF_EXPONENT * scales[d])
-        store(sums, d * WIDTH, multiply(of_input, load(sums, d * WIDTH)))
-    value += _add_waves(draws.waves[a], draws.cosines[i, a], draws.sines[i, a], inputs, sums)
-    for d in range(len(inputs)):
-        slope[d] = total(load(sums, d * WIDTH))
-    return value + draws.offset[a]
+        sum_of_distances = (inputs[d] - origin[d]) * of_data - slope[d]
+        slope[d] = OF_EXPONENT * scales[d] * scales[d] * sum_of_distances
+    waves = draws.waves[a], draws.cosines[i, a], draws.sines[i, a]
+    of_waves = _write_terms_of_waves(*waves, inputs, terms)
+    add_rows(terms, draws.rows_of_waves[a], slope)
+    return draws.offset[a] + of_waves + of_data
 
 
 @compiled
-def _add_waves(waves: Array2, cosines: Array1, sines: Array1, point: Array1, sums: Array2) -> float:
-    """The sum of waves at a point; what its slope sums up in each eighth is added to ``sums``."""
+def _write_terms_of_waves(
+    waves: Array2, cosines: Array1, sines: Array1, point: Array1, terms: Array1
+) -> float:
+    """The slopes of waves in their phases, and the sum of the waves."""
     count, value = len(cosines), splat(0.0)
     for j in range(0, count, WIDTH):
         phase = splat(0.0)
@@ -186,17 +211,14 @@ def _add_waves(waves: Array2, cosines: Array1, sines: Array1, point: Array1, sum
         sine, cosine = sines_and_cosines(phase)
         of_cosine, of_sine = load(cosines, j), load(sines, j)
         value = multiply_add(of_cosine, cosine, multiply_add(of_sine, sine, value))
-        turned = multiply_add(of_sine, cosine, multiply(multiply(splat(-1.0), of_cosine), sine))
-        turned = multiply(splat(QUARTER), turned)
-        for d in range(len(point)):
-            slope = multiply_add(turned, load(waves, d * count + j), load(sums, d * WIDTH))
-            store(sums, d * WIDTH, slope)
+        turned = multiply(multiply(splat(-1.0), of_cosine), sine)
+        store(terms, j, multiply_add(of_sine, cosine, turned))
     return total(value)
 
 
 @compiled
-def _add_kernels(data: Array2, weights: Array1, point: Array1, sums: Array2) -> float:
-    """The same for squared exponentials around scaled data."""
+def _write_terms_of_data(data: Array2, weights: Array1, point: Array1, terms: Array1) -> float:
+    """Weighted kernels around scaled data, and their sum."""
     count, value = len(weights), splat(0.0)
     for j in range(0, count, WIDTH):
         square = splat(0.0)
@@ -204,11 +226,25 @@ def _add_kernels(data: Array2, weights: Array1, point: Array1, sums: Array2) -> 
             distance = add(spread(point, d), load(data, d * count + j))
             square = multiply_add(distance, distance, square)
         term = multiply(load(weights, j), power_of_two(multiply(splat(-1.0), square)))
+        store(terms, j, term)
         value = add(value, term)
-        for d in range(len(point)):
-            distance = add(spread(point, d), load(data, d * count + j))
-            store(sums, d * WIDTH, multiply_add(term, distance, load(sums, d * WIDTH)))
     return total(value)
+
+
+@compiled
+def add_rows(terms: Array1, rows: Array2, out: Array1) -> None:
+    """Add the sum of n rows (n, W), times the first n terms, to ``out`` (W,)."""
+    n, width = rows.shape
+    for start in range(0, width, WIDTH):
+        s0 = s1 = s2 = s3 = splat(0.0)
+        for j in range(0, n, 4):
+            first = j * width + start
+            s0 = multiply_add(spread(terms, j), load(rows, first), s0)
+            s1 = multiply_add(spread(terms, j + 1), load(rows, first + width), s1)
+            s2 = multiply_add(spread(terms, j + 2), load(rows, first + 2 * width), s2)
+            s3 = multiply_add(spread(terms, j + 3), load(rows, first + 3 * width), s3)
+        sums = add(add(s0, s1), add(s2, s3))
+        store(out, start, add(sums, load(out, start)))
 
 
 @Kernel
@@ -217,44 +253,44 @@ def adjoint_of_particles(
     tape: ParticleTape,
     d_states: Array3,
     units: Array1,
+    rows_of_centres: Array2,
     work: ParticleWork,
     d_start: Array2,
-    out: NetworkGradient,
+    of_kernels: Array4,
 ) -> bool:
-    """Gradients in starts and network from cotangents of the states at t = 1..T.
+    """Gradients in starts and kernels of the network from cotangents of the states at t = 1..T.
 
     Args:
         tape: filled by :func:`follow`.
         d_states: cotangents, (N, T, D).
         units: in which the cotangent of a state has at most the norm one, (D,); 0 for no bound.
+        rows_of_centres: of the network, (m, W).
         d_start: out, gradients in the starts, (N, D).
-        out: gradient in the network, to which is added.
+        of_kernels: out, kernels times the gradients in the network's outputs, (F, N, T, m).
     """
     d_inputs, d_next = work.d_inputs, work.d_next
-    R, known, gain, of_outputs = len(robot.rows), robot.known, tape.gain, robot.gain
+    R, known, of_outputs = len(robot.rows), robot.known, robot.gain
     D = len(known)
     for i in range(len(d_states)):
         d_state = d_start[i]
         for d in range(D):
             d_state[d] = 0.0
         for t in range(d_states.shape[1] - 1, -1, -1):
-            inputs, slopes = tape.inputs[i, t], tape.slopes[i, t]
+            slopes = tape.slopes[i, t]
             _write_bounded(d_state, d_states[i, t], units, d_next)
-            for k in range(len(inputs)):
-                d_inputs[k] = _column_times(known, D + k - R, d_next) if k >= R else 0.0
+            fill(d_inputs, 0.0)
             for a in range(len(slopes)):
-                of_output = _column_times(of_outputs, a, d_next)
-                for k in range(len(inputs)):
-                    d_inputs[k] += of_output * slopes[a, k]
+                add_multiple(_column_times(of_outputs, a, d_next), slopes[a], d_inputs)
             for d in range(D):
                 d_state[d] = _column_times(known, d, d_next)
-            centre(robot.network.inputs, inputs, work.nu)
             for k in range(len(robot.u_max)):
-                scale = d_inputs[R + k] * robot.u_max[k] * cos(tape.raw[i, t, k])
-                _adjoint_of_network_value(robot.network, k, scale, work, out)
+                of_action = d_inputs[R + k] + _column_times(known, D + k, d_next)
+                of_raw = of_action * robot.u_max[k] * cos(tape.raw[i, t, k])
+                terms, inputs = of_kernels[k, i, t], tape.inputs[i, t]
+                _adjoint_of_network(robot.network, k, of_raw, inputs, rows_of_centres, terms, work)
             for r in range(R):
                 for d in range(D):
-                    d_state[d] += robot.rows[r, d] * gain[i, t, r] * d_inputs[r]
+                    d_state[d] += robot.rows[r, d] * tape.gain[i, t, r] * d_inputs[r]
     return True
 
 
@@ -280,52 +316,51 @@ def _column_times(matrix: Array2, column: int, values: Array1) -> float:
 
 
 @part
-def _adjoint_of_network_value(
-    f: Functions, k: int, scale: float, work: ParticleWork, out: NetworkGradient
-) -> None:
-    """Add the scale times the derivatives of output k by the point and by the network."""
-    factors, sums, of_squares = work.factors, work.sums, out.squares[k]
-    for d in range(len(work.nu)):
-        factors[d] = -0.5 * LOG2_E / f.squares[k, d]
-    fill(sums, 0.0)
-    fill(work.squares, 0.0)
-    kernels = work.nu, factors, LOG2_E * f.log_signal[k]
-    _add_derivatives(*kernels, f.weights[k], scale, sums, work.squares, out.weights[k], out.inputs)
-    for d in range(len(work.nu)):
-        square = f.squares[k, d]
-        work.d_inputs[d] += total(load(sums, d * WIDTH)) / square
-        of_squares[d] += total(load(work.squares, d * WIDTH)) / square / square / 2.0
-
-
-@compiled
-def _add_derivatives(
-    nu: Array2,
-    factors: Array1,
-    constant: float,
-    weights: Array1,
+def _adjoint_of_network(
+    network: Functions,
+    k: int,
     scale: float,
-    sums: Array2,
-    squares: Array2,
-    of_weights: Array1,
-    of_inputs: Array2,
+    inputs: Array1,
+    rows_of_centres: Array2,
+    of_kernels: Array1,
+    work: ParticleWork,
 ) -> None:
-    """Add a scale times the derivatives of :func:`_weighted_kernels` to weights and inputs.
+    """Kernels of output k times the scale, and what they add to the gradient in the features."""
+    terms, sums = work.terms, work.d_centres
+    _write_distance(network, k, inputs, work)
+    of_network = network.inputs, work.point, work.factors, LOG2_E * network.log_signal[k]
+    value = _write_terms_of_network(*of_network, network.weights[k], scale, of_kernels)
+    for j in range(0, len(of_kernels), WIDTH):
+        store(terms, j, multiply(load(network.weights[k], j), load(of_kernels, j)))
+    fill(sums, 0.0)
+    add_rows(terms, rows_of_centres, sums)
+    for d in range(len(work.factors)):
+        work.d_inputs[d] += (sums[d] - inputs[d] * value) / network.squares[k, d]
 
-    To ``sums`` and ``squares`` the terms are added, times distances and times their squares.
+
+def roll_back(
+    robot: Robot,
+    tape: ParticleTape,
+    d_states: Array3,
+    units: Array1,
+    d_start: Array2,
+    out: NetworkGradient,
+) -> None:
+    """Write the gradients in the starts, and add those in the network to ``out``.
+
+    Arguments are those of :func:`adjoint_of_particles`.
     """
-    count = len(weights)
-    for j in range(0, count, WIDTH):
-        kernel = multiply(splat(scale), power_of_two(_exponents(nu, factors, constant, j)))
-        store(of_weights, j, add(kernel, load(of_weights, j)))
-        term = multiply(load(weights, j), kernel)
-        for d in range(len(factors)):
-            k, x = d * WIDTH, load(nu, d * count + j)
-            moment = multiply(term, x)
-            store(sums, k, add(moment, load(sums, k)))
-            store(squares, k, multiply_add(moment, x, load(squares, k)))
-            of_centre = multiply(spread(factors, d), moment)
-            store(
-                of_inputs,
-                d * count + j,
-                multiply_add(splat(OF_NU), of_centre, load(of_inputs, d * count + j)),
-            )
+    network, (N, T, _) = robot.network, d_states.shape
+    centres, (F, m), R = network.inputs, network.weights.shape, len(network.inputs)
+    of_kernels = zeros(F, N, T, m)
+    scratch = as_rows(centres), ParticleWork.of(robot)
+    adjoint_of_particles(robot, tape, d_states, units, *scratch, d_start, of_kernels)
+    x = tape.inputs[..., :R].reshape(-1, R)
+    powers = np.concatenate([np.ones_like(x[:, :1]), x, np.square(x)], 1)
+    for k in range(F):
+        zeroth, first, second = np.split(powers.T @ of_kernels[k].reshape(-1, m), [1, R + 1])
+        weights, squares = network.weights[k], network.squares[k][:, None]
+        out.weights[k] += zeroth[0]
+        out.inputs[:] += weights * (first - centres * zeroth) / squares
+        distances = np.square(centres) * zeroth - 2.0 * centres * first + second
+        out.squares[k] += (weights * distances / np.square(squares)).sum(1) / 2.0

@@ -121,7 +121,15 @@ def test_one_step_has_the_moments_that_are_matched(draws: Draws) -> None:
     state = draws.belief(2)
     samples = torch.cat(
         [
-            sample_consistent_rollouts(state, policy, dynamics, PLAIN, 1, 200, draws.generator)
+            sample_consistent_rollouts(
+                state,
+                policy,
+                FunctionSamples.draw(dynamics, 200, draws.generator),
+                dynamics,
+                PLAIN,
+                1,
+                draws.generator,
+            )
             for _ in range(500)
         ]
     )
@@ -194,9 +202,10 @@ def test_bound_shortens_the_cotangent_of_a_particle_that_tumbles_alone(draws: Dr
 def test_rollouts_repeat_themselves_and_begin_at_the_start(draws: Draws) -> None:
     policy, dynamics = make_parts(draws)
     certain = Gaussian(draws.normal(2), torch.zeros(2, 2, dtype=torch.float64))
+    functions = FunctionSamples.draw(dynamics, 5, draws.generator)
     one, again = (
         sample_consistent_rollouts(
-            certain, policy, dynamics, SPACE, 4, 5, torch.Generator().manual_seed(3)
+            certain, policy, functions, dynamics, SPACE, 4, torch.Generator().manual_seed(3)
         )
         for _ in range(2)
     )

@@ -201,20 +201,19 @@ def _followed(
 def sample_consistent_rollouts(
     initial: Gaussian,
     policy: Policy,
+    functions: FunctionSamples,
     dynamics: GPDynamics,
     space: StateSpace,
     horizon: int,
-    count: int,
     generator: torch.Generator,
 ) -> Tensor:
-    """As :func:`~torch_pmil.model.particles.sample_rollouts`, each particle with its function.
+    """States at t = 0..T, (N, *batch, T + 1, D), of particles from p(x_0) with the model's noise.
 
-    Returns states at t = 0..T, (count, *batch, T + 1, D).
+    Each follows its function. Otherwise as :func:`~torch_pmil.model.particles.sample_rollouts`.
     """
     check_start_belief(initial, "initial", dynamics, space)
     check_whole("horizon", horizon, 1)
-    functions = FunctionSamples.draw(dynamics, count, generator)
-    start = initial.sample(count, generator)
+    start = initial.sample(len(functions), generator)
     noise = noise_of_steps(dynamics, (*start.shape[:-1], horizon), generator)
     states = follow_functions(start, policy, functions, dynamics, space, noise)
     return torch.cat([start[..., None, :], states], -2)

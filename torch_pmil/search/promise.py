@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import scipy
 import torch
@@ -11,7 +12,9 @@ from torch import Tensor
 
 from torch_pmil.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.function_samples import sample_consistent_rollouts
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.function_samples import FunctionSamples, sample_consistent_rollouts
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 SAMPLES = 500
@@ -83,8 +86,17 @@ class Promise:
     def predicted(self, loss: TrajectoryLoss, initial: Gaussian) -> PredictedSuccess:
         """Successes of the policy of ``loss`` under its model, from p(x_0)."""
         start, policy = loss.begin(initial)
-        generator = torch.Generator().manual_seed(SEED)
-        states = sample_consistent_rollouts(
-            start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, generator
-        )
+        functions = _functions_of(loss.dynamics, loss.dynamics.expansion)
+        given = functions, loss.dynamics, loss.space, loss.horizon, _generator()
+        states = sample_consistent_rollouts(start, policy, *given)
         return PredictedSuccess(int((self.error(states) <= self.tolerance).sum()))
+
+
+@lru_cache(1)  # policies that are compared share them
+def _functions_of(dynamics: GPDynamics, posterior: KernelExpansion) -> FunctionSamples:
+    """Functions drawn from a model's present posterior."""
+    return FunctionSamples.draw(dynamics, SAMPLES, _generator())
+
+
+def _generator() -> torch.Generator:
+    return torch.Generator().manual_seed(SEED)

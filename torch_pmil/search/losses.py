@@ -18,6 +18,8 @@ from torch_pmil.search.kl import gaussian_cross_entropy, gaussian_kl, mean_kl
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
 from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
+FAR = 50.0  # squared distance, for each entry, at which the cost of a sample is log 2
+
 
 class TrajectoryKLLoss(TrajectoryLoss):
     r"""KL between demonstrated and predicted trajectories (Eq. 20), ``"loss_kl"``, in nats.
@@ -87,6 +89,17 @@ class TrajectoryKLLoss(TrajectoryLoss):
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """KL of each step for each observed entry, (*batch, horizon)."""
         return self.per_step(initial, horizon) / self.space.match_space.dim
+
+    def sample_costs(self, states: Tensor) -> Tensor:
+        r"""Logarithmic distance of states from the demonstrated marginals, (N, \*batch, T).
+
+        .. math:: \log\left(1 + \frac{d^2}{c M}\right), \qquad
+            d^2 = (z - \mu^{\exp})^\top (\Sigma^{\exp})^{-1} (z - \mu^{\exp})
+
+        Sampled trajectories that go elsewhere have a slope all the same, and do not drown the rest.
+        """
+        half_square = super().sample_costs(states)
+        return torch.log1p(2 * half_square / (FAR * self.space.match_space.dim))
 
     def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cross-entropy of the prediction and the demonstrations at each step, (*batch, horizon).

@@ -176,6 +176,10 @@ class TrajectoryLoss(LossModule):
         """Loss by which a search trusts each predicted marginal, the cost; (*batch, horizon)."""
         return self.per_step(initial, horizon)
 
+    def sample_costs(self, states: Tensor) -> Tensor:
+        r"""Cost of each state of sampled trajectories (N, \*batch, T, D): (N, \*batch, T)."""
+        return self._mean_costs(self.space.observe(states))
+
     def objective(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Objective | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,11 +22,14 @@ from torch_pmil.search.policy_search import (
     SearchResult,
     SearchRuns,
     SearchSettings,
+    outcome,
     refit_policy,
     search_policy,
 )
 from torch_pmil.search.promise import PredictedSuccess, Promise
+from torch_pmil.search.sample_search import expected_cost, search_on_samples
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.seeds import draw_seed
 
 # trust of a search that comes no further, and its last iterations, in those of the settings
 BOLDER = 4.0
@@ -47,6 +51,10 @@ class TrialSearch:
     searched on (:func:`search_for_success`), from random policies only after a rollout that
     succeeded: before, the failures may be what the model does not know yet. In a whole run these
     searches take as many evaluations as the others, at most.
+
+    With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
+    first, from the last policy, and then the loss from there. The second policy is kept if it keeps
+    the promise, else the one of less expected cost.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -80,6 +88,8 @@ class TrialSearch:
         search = partial(
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )
+        if settings.sample_steps:
+            return self._begun_on_samples(loss, initial, search)
         self.result = search(random=self._least == math.inf)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
@@ -106,6 +116,25 @@ class TrialSearch:
             before = self.result.evaluations
             self.result = search_for_success(*known, credit, others, report, optimizer)
             self._credit -= self.result.evaluations - before
+        return self.result
+
+    def _begun_on_samples(
+        self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
+    ) -> SearchResult:
+        """Search on samples, then the loss, and keep the better of the two policies."""
+        begun, network, generator = time.perf_counter(), loss.actor_network, self.generator
+        run = search_on_samples(loss, initial, self.settings.sample_steps, generator)
+        self.report("samples", run.loss)
+        first = outcome(loss, initial, self.settings, loss.horizon, [run], begun)
+        judge = partial(expected_cost, loss, initial, draw_seed(generator))
+        expected, found = judge(), copy.deepcopy(network.state_dict())
+        second, promise = search(), self.promise
+        keeps = promise is not None and promise.predicted(loss, initial).least >= promise.aim
+        if keeps or judge() < expected:
+            self.result = second.with_work_of(first)
+        else:
+            network.load_state_dict(found)
+            self.result = first.with_work_of(second)
         return self.result
 
     def _enough(self, succeeded: bool | None) -> bool:

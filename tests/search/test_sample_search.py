@@ -1,0 +1,145 @@
+"""The search on sampled trajectories: its costs, its steps, and which policy a trial keeps."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from tests.helpers.draws import Draws
+from tests.helpers.integrator import (
+    belief_at_one,
+    damped_integrator,
+    integrator_loss,
+    random_policy,
+)
+from tests.helpers.losses import make_cost, make_kl
+from torch_pmil.search import sample_search, trial_search
+from torch_pmil.search.losses import FAR, TrajectoryKLLoss
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.promise import SAMPLES, PredictedSuccess
+from torch_pmil.search.sample_search import expected_cost, search_on_samples
+from torch_pmil.search.saturating_cost import saturating_cost
+from torch_pmil.search.trial_search import TrialSearch
+
+HORIZON = 6
+INITIAL = belief_at_one(0.04)
+SHOWN = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
+
+
+def integrator() -> TrajectoryKLLoss:
+    return integrator_loss(random_policy(Draws(0)), SHOWN, 0.05**2)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def test_cost_of_a_sample_is_the_logarithm_of_its_distance(draws: Draws) -> None:
+    loss = make_kl(0)
+    states = draws.normal(5, loss.horizon, 2)
+    offset = loss.space.observe(states) - loss.demonstrated_mean
+    square = torch.einsum(
+        "nti,tij,ntj->nt", offset, torch.linalg.inv(loss.demonstrated_cov), offset
+    )
+    assert_close(loss.sample_costs(states), (1 + square / (2 * FAR)).log())
+
+
+def test_cost_of_a_sample_away_from_a_target_saturates(draws: Draws) -> None:
+    loss = make_cost(0)
+    states = draws.normal(5, loss.horizon, 2)
+    expected = saturating_cost((loss.space.observe(states) - loss.target) @ loss.to_widths.mT)
+    assert_close(loss.sample_costs(states), expected)
+
+
+def test_search_brings_the_samples_near_what_was_demonstrated() -> None:
+    """The policy then matches it by exact moments too, and the same seed finds the same policy."""
+    found = []
+    for _ in range(2):
+        loss = integrator()
+        before, kl = expected_cost(loss, INITIAL, 1), loss.per_step(INITIAL).sum().item()
+        result = search_on_samples(loss, INITIAL, 150, generator())
+        assert result.evaluations == 150 and result.loss < result.initial_loss
+        assert expected_cost(loss, INITIAL, 1) < 0.2 * before
+        assert loss.per_step(INITIAL).sum().item() < 0.5 * kl
+        assert all(parameter.grad is None for parameter in loss.actor_network.parameters())
+        found.append(loss.actor_network.weights.detach())
+    assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_expected_cost_is_that_of_the_predicted_marginals(seed: int) -> None:
+    """Of a nearly linear system that is well known: by Monte Carlo on exact moments."""
+    loss = integrator()
+    loss.actor_network.weights.data.copy_(0.3 * Draws(seed).normal(8, 1))
+    with torch.no_grad():
+        states = loss.predict_states(INITIAL).sample(20_000, generator())
+        costs = loss.sample_costs(states).sum(-1)
+    judged = [expected_cost(loss, INITIAL, judge) for judge in range(20)]
+    assert sum(judged) / len(judged) == pytest.approx(costs.mean().item(), rel=0.05)
+
+
+def test_search_ends_before_a_step_that_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    loss, steps = integrator(), iter([1.0, 1.0, math.nan])
+    costs = loss.sample_costs
+    monkeypatch.setattr(loss, "sample_costs", lambda states: next(steps) * costs(states))
+    result = search_on_samples(loss, INITIAL, 5, generator())
+    assert (result.iterations, result.failures, result.stop_reason) == (2, 1, "numerical failure")
+    assert all(parameter.isfinite().all() for parameter in loss.actor_network.parameters())
+
+
+class Scripted:
+    """A promise with this bound, and the costs of the policy on samples and of that of the loss."""
+
+    def __init__(self, promised: float) -> None:
+        self.aim, self._promised = 0.975, promised
+
+    def predicted(self, *_: object) -> PredictedSuccess:
+        return PredictedSuccess(round(self._promised * SAMPLES))
+
+
+@pytest.mark.parametrize(
+    ("promised", "costs", "kept"),
+    [(1.0, (1.0, 2.0), 2), (0.5, (1.0, 2.0), 1), (0.5, (2.0, 1.0), 2), (None, (1.0, 2.0), 1)],
+    ids=["promise kept", "samples are better", "the loss is better", "no promise"],
+)
+def test_trial_keeps_what_keeps_the_promise_or_costs_less(
+    monkeypatch: pytest.MonkeyPatch,
+    promised: float | None,
+    costs: tuple[float, float],
+    kept: int,
+) -> None:
+    loss, left = integrator(), iter(costs)
+
+    def marked(number: int, function: object) -> object:
+        def search(*arguments: object, **options: object) -> object:
+            result = function(*arguments, **options)
+            loss.actor_network.weights.data.fill_(number)
+            return result
+
+        return search
+
+    for number, name in ((1, "search_on_samples"), (2, "search_policy")):
+        monkeypatch.setattr(trial_search, name, marked(number, getattr(trial_search, name)))
+    monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
+    promise = None if promised is None else Scripted(promised)
+    settings = SearchSettings(2, 2, 2, sample_steps=3)
+    search = TrialSearch(settings, lambda: random_policy(Draws(0)), generator(), promise)
+    result = search.run(loss, INITIAL, None)
+    assert loss.actor_network.weights[0, 0].item() == kept
+    assert result.evaluations > 3  # the work of both
+    assert not search.refitted
+
+
+def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None:
+    loss = integrator()
+    units = sample_search._units(loss, INITIAL, generator())
+    functions = sample_search.FunctionSamples.draw(
+        damped_integrator(), sample_search.PARTICLES, generator()
+    )
+    given = functions, loss.dynamics, loss.space, loss.horizon, generator()
+    states = sample_search.sample_consistent_rollouts(INITIAL, loss.actor_network, *given)
+    spread = states.flatten(0, -2).std(0)
+    assert_close(units, sample_search.PARTICLES * spread, rtol=0.2, atol=0)

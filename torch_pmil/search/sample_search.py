@@ -1,0 +1,95 @@
+r"""Search on trajectories that each follow a function drawn from the model's posterior.
+
+Early in a run the prediction by moments can be trusted for a few steps only, and a search over a
+growing horizon lets the robot tumble after them. Samples of functions stay apart instead of
+blurring, so that the whole horizon can be searched at once. Their cost rises with the logarithm of
+the distance from the demonstrations: far trajectories still pull, but do not drown the near ones.
+
+The gradient is that of pathwise derivatives, with a bound for each particle. It is noisy, so that
+L-BFGS is unfit for it: Adam takes its steps (Kingma and Ba 2015).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import MinimiseResult
+from torch_pmil.model.function_samples import (
+    FunctionSamples,
+    follow_functions,
+    noise_of_steps,
+    sample_consistent_rollouts,
+)
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+PARTICLES = 50  # of each step of Adam
+REDRAWN = 10  # steps after which particles follow other functions
+RATE, LAST_RATE = 0.03, 0.003  # of Adam, at first and at last; parameters are of order one
+JUDGES = 200  # particles by which policies are compared
+
+
+def search_on_samples(
+    loss: TrajectoryLoss, initial: Gaussian, steps: int, generator: torch.Generator
+) -> MinimiseResult:
+    """Lower the mean cost of sampled trajectories over the whole horizon by Adam.
+
+    Args:
+        loss: objective with the policy (changed in place) and the model.
+        initial: p(x_0).
+        steps: of Adam, each on particles with starts and noise drawn anew.
+        generator: seeded source of the draws.
+    """
+    parameters = list(loss.actor_network.parameters())
+    adam = torch.optim.Adam(parameters, lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps, LAST_RATE)
+    start, units, costs = loss.begin(initial)[0], _units(loss, initial, generator), list[float]()
+    for step in range(steps):
+        if step % REDRAWN == 0:
+            functions = FunctionSamples.draw(loss.dynamics, PARTICLES, generator)
+        starts = start.sample(PARTICLES, generator)
+        noise = noise_of_steps(loss.dynamics, (*starts.shape[:-1], loss.horizon), generator)
+        given = loss.begin(initial)[1], functions, loss.dynamics, loss.space, noise, units
+        cost = mean_cost(loss, follow_functions(starts, *given))
+        costs.append(cost.item())
+        gradients = torch.autograd.grad(cost, parameters)
+        if not all(gradient.isfinite().all() for gradient in gradients):
+            return MinimiseResult(costs[0], costs[-1], step, step + 1, 1, "numerical failure")
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            parameter.grad = gradient
+        adam.step()
+        schedule.step()
+    adam.zero_grad()
+    return MinimiseResult(costs[0], costs[-1], steps, steps, 0, "iteration limit")
+
+
+@torch.no_grad()
+def _units(loss: TrajectoryLoss, initial: Gaussian, generator: torch.Generator) -> Tensor:
+    """Units in which the gradient of a particle is bounded: the spread of all states, (D,).
+
+    A cost that is a mean over particles changes by 1 / N at most when one state moves by as much.
+    """
+    start, policy = loss.begin(initial)
+    functions = FunctionSamples.draw(loss.dynamics, PARTICLES, generator)
+    given = functions, loss.dynamics, loss.space, loss.horizon, generator
+    states = sample_consistent_rollouts(start, policy, *given)
+    return states[..., 0, 0].numel() * states.flatten(0, -2).std(0)
+
+
+def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
+    r"""Mean over trajectories (N, \*batch, T, D) of the sum of their costs."""
+    return loss.sample_costs(states).sum(-1).mean()
+
+
+@torch.no_grad()
+def expected_cost(loss: TrajectoryLoss, initial: Gaussian, seed: int) -> float:
+    """Cost of a policy by particles, to be compared with that of others of the same seed."""
+    generator = torch.Generator().manual_seed(seed)
+    start, policy = loss.begin(initial)
+    functions = FunctionSamples.draw(loss.dynamics, JUDGES, generator)
+    given = functions, loss.dynamics, loss.space, loss.horizon, generator
+    cost = mean_cost(loss, sample_consistent_rollouts(start, policy, *given)[..., 1:, :]).item()
+    return cost if math.isfinite(cost) else math.inf

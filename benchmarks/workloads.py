@@ -37,6 +37,7 @@ from torchrl.modules import GPWorldModel, RBFController
 
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss, trajectory_kl
 from torch_pmil.model import compiled
+from torch_pmil.model.dynamics import MOST_EXACT
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -72,7 +73,13 @@ class Problem:
         )
 
 
-def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = False) -> Problem:
+def make_problem(
+    n: int,
+    horizon: int,
+    raw_angles: bool = False,
+    fitted: bool = False,
+    most_exact: int = MOST_EXACT,
+) -> Problem:
     """The benchmark's problem, always the same for the same arguments.
 
     Args:
@@ -81,6 +88,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = 
         raw_angles: whether model and policy see the angles themselves in place of their sin and
             cos.
         fitted: whether the hyper-parameters are those of a fit.
+        most_exact: largest n of an exact posterior.
     """
     experiment = load_experiment("double_pendulum")
     if raw_angles:
@@ -92,7 +100,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = 
     steps = torch.arange(horizon).clamp(max=experiment.horizon - 1)
     return Problem(
         experiment,
-        (fit_dynamics if fitted else make_dynamics)(inputs, successors - states),
+        (fit_dynamics if fitted else make_dynamics)(inputs, successors - states, most_exact),
         experiment.make_policy(generator),
         experiment.demonstrated[steps],
     )
@@ -117,9 +125,9 @@ def random_transitions(
     return before, actions, after
 
 
-def make_dynamics(inputs: Tensor, targets: Tensor) -> GPDynamics:
+def make_dynamics(inputs: Tensor, targets: Tensor, most_exact: int = MOST_EXACT) -> GPDynamics:
     """The model of given data, without a fit."""
-    dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1])
+    dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1], most_exact=most_exact)
     signal_variance = targets.var(0)
     lengthscales = inputs.std(0) * lengthscale_factors(dynamics.num_outputs, dynamics.num_inputs)
     dynamics.gp.covar_module.base_kernel.lengthscale = lengthscales[:, None]
@@ -136,9 +144,9 @@ def lengthscale_factors(outputs: int, inputs: int) -> Tensor:
     return 2 ** torch.sin(count).view(outputs, inputs)
 
 
-def fit_dynamics(inputs: Tensor, targets: Tensor) -> GPDynamics:
+def fit_dynamics(inputs: Tensor, targets: Tensor, most_exact: int = MOST_EXACT) -> GPDynamics:
     """The model of given data with the hyper-parameters of a fit."""
-    dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1])
+    dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1], most_exact=most_exact)
     dynamics.fit(inputs, targets)
     _ = dynamics.expansion
     return dynamics

@@ -94,13 +94,6 @@ def test_functions_agree_where_there_are_data_and_differ_far_away(draws: Draws) 
     assert_close(far.std(0), f.signal_variance.sqrt(), rtol=0.2, atol=0)
 
 
-def test_chosen_functions_are_those_of_the_whole(draws: Draws) -> None:
-    functions = FunctionSamples.draw(smooth_model(draws), 6, draws.generator)
-    chosen, points = torch.tensor([4, 1]), draws.normal(6, 3, 2)
-    assert len(functions) == 6 and len(functions[chosen]) == 2
-    assert_close(functions[chosen](points[chosen]), functions(points)[chosen], rtol=0, atol=1e-14)
-
-
 def test_functions_without_update_and_waves_give_the_mean_trajectory(draws: Draws) -> None:
     policy, dynamics = make_parts(draws)
     drawn = FunctionSamples.draw(dynamics, 3, draws.generator)

@@ -8,7 +8,7 @@ make to it. A particle then costs O(n) a step, not O(n²).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -25,7 +25,7 @@ from torch_pmil.model.compiled import kernels
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import check_start_belief, compiled_plan
 
-FREQUENCIES = 100  # of the prior; its covariances are right within one part in their root
+FREQUENCIES = 100  # the prior's covariances are then off by a tenth of its variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,6 @@ class FunctionSamples:
 
     def __len__(self) -> int:
         return len(self.weights)
-
-    def __getitem__(self, chosen: slice | Tensor) -> FunctionSamples:
-        """Some of the functions."""
-        return replace(self, weights=self.weights[chosen], updates=self.updates[chosen])
 
     def __call__(self, inputs: Tensor) -> Tensor:
         r"""Outputs (N, \*batch, E) of each function at inputs (N, \*batch, D) of its own."""

@@ -125,11 +125,3 @@ def add_multiple(factor: float, a: Array, out: Array) -> None:
     """Add the factor times a to ``out``, of the same shape, with a multiple of eight entries."""
     for j in range(0, a.size, WIDTH):
         store(out, j, multiply_add(splat(factor), load(a, j), load(out, j)))
-
-
-@compiled
-def add_squares(factor: float, a: Array1, out: Array1) -> None:
-    """Add the factor times the squares of a to ``out`` (n,)."""
-    for j in range(0, len(a), WIDTH):
-        x = load(a, j)
-        store(out, j, multiply_add(multiply(splat(factor), x), x, load(out, j)))

@@ -67,6 +67,7 @@ def main() -> None:
         known = [row[name] for row in policies if row[name] is not None]
         headline[name] = sum(known) / len(known)
     print(headline)
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(
         arguments.json,
         {

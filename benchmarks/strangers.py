@@ -43,7 +43,7 @@ Said = dict[str, Any]
 FURTHER: dict[str, Callable[[Said], Said]] = {  # what is said besides
     "own step": lambda said: {"step": said["control_period"]},
     "no past": lambda said: {"past": None},
-    "no samples": lambda said: {"search.sample_steps": 0},
+    "samples": lambda said: {"search.sample_steps": 500},
 }
 CHANGES: dict[str, Callable[[Task], Task]] = {
     "limits": with_limits,

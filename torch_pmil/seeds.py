@@ -29,3 +29,8 @@ def generator_of(stream: Stream, seed: int) -> torch.Generator:
         1000003
     """
     return torch.Generator().manual_seed(seed + stream)
+
+
+def draw_seed(generator: torch.Generator) -> int:
+    """The seed of another generator."""
+    return int(torch.randint(LARGEST_SEED, (), generator=generator))

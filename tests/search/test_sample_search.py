@@ -16,13 +16,13 @@ from tests.helpers.integrator import (
     random_policy,
 )
 from tests.helpers.losses import make_cost, make_kl
-from tests.search.test_trial_search import SLOW, Searches, short
-from torch_pmil.gp.lbfgs import MinimiseResult
 from torch_pmil.search import sample_search, trial_search
 from torch_pmil.search.losses import FAR, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.search.sample_search import search_on_samples
+from torch_pmil.search.promise import SAMPLES, PredictedSuccess
+from torch_pmil.search.sample_search import expected_cost, search_on_samples
 from torch_pmil.search.saturating_cost import saturating_cost
+from torch_pmil.search.trial_search import TrialSearch
 
 HORIZON = 6
 INITIAL = belief_at_one(0.04)
@@ -59,13 +59,26 @@ def test_search_brings_the_samples_near_what_was_demonstrated() -> None:
     found = []
     for _ in range(2):
         loss = integrator()
-        kl = loss.per_step(INITIAL).sum().item()
+        before, kl = expected_cost(loss, INITIAL, 1), loss.per_step(INITIAL).sum().item()
         result = search_on_samples(loss, INITIAL, 150, generator())
-        assert result.evaluations == 150 and result.loss < 0.2 * result.initial_loss
+        assert result.evaluations == 150 and result.loss < result.initial_loss
+        assert expected_cost(loss, INITIAL, 1) < 0.2 * before
         assert loss.per_step(INITIAL).sum().item() < 0.5 * kl
         assert all(parameter.grad is None for parameter in loss.actor_network.parameters())
         found.append(loss.actor_network.weights.detach())
     assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_expected_cost_is_that_of_the_predicted_marginals(seed: int) -> None:
+    """Of a nearly linear system that is well known: by Monte Carlo on exact moments."""
+    loss = integrator()
+    loss.actor_network.weights.data.copy_(0.3 * Draws(seed).normal(8, 1))
+    with torch.no_grad():
+        states = loss.predict_states(INITIAL).sample(20_000, generator())
+        costs = loss.sample_costs(states).sum(-1)
+    judged = [expected_cost(loss, INITIAL, judge) for judge in range(20)]
+    assert sum(judged) / len(judged) == pytest.approx(costs.mean().item(), rel=0.05)
 
 
 def test_search_ends_before_a_step_that_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,28 +90,47 @@ def test_search_ends_before_a_step_that_is_no_number(monkeypatch: pytest.MonkeyP
     assert all(parameter.isfinite().all() for parameter in loss.actor_network.parameters())
 
 
-STUCK = {  # losses of the searches of the second trial, the one kept, samples, refits
-    "progress": ([50], 2, 0, 0),
-    "samples help": ([SLOW, 50], 3, 1, 0),
-    "they do not": ([SLOW, 99, 98, 97], 2, 1, 1),
-}
+class Scripted:
+    """A promise with this bound, and the costs of the policy on samples and of that of the loss."""
+
+    def __init__(self, promised: float) -> None:
+        self.aim, self._promised = 0.975, promised
+
+    def predicted(self, *_: object) -> PredictedSuccess:
+        return PredictedSuccess(round(self._promised * SAMPLES))
 
 
-@pytest.mark.parametrize("case", STUCK)
-def test_stuck_search_begins_anew_after_samples(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
-    losses, kept, samples, refits = STUCK[case]
-    scripted = Searches(monkeypatch, integrator(), short(100, *losses))
-    scripted.search.settings = SearchSettings(sample_steps=3)
-    steps: list[int] = []
+@pytest.mark.parametrize(
+    ("promised", "costs", "kept"),
+    [(1.0, (1.0, 2.0), 2), (0.5, (1.0, 2.0), 1), (0.5, (2.0, 1.0), 2), (None, (1.0, 2.0), 1)],
+    ids=["promise kept", "samples are better", "the loss is better", "no promise"],
+)
+def test_trial_keeps_what_keeps_the_promise_or_costs_less(
+    monkeypatch: pytest.MonkeyPatch,
+    promised: float | None,
+    costs: tuple[float, float],
+    kept: int,
+) -> None:
+    loss, left = integrator(), iter(costs)
 
-    def on_samples(_: object, __: object, count: int, ___: object) -> MinimiseResult:
-        steps.append(count)
-        return MinimiseResult(2.0, 1.0, count, count, 0, "iteration limit")
+    def marked(number: int, function: object) -> object:
+        def search(*arguments: object, **options: object) -> object:
+            result = function(*arguments, **options)
+            loss.actor_network.weights.data.fill_(number)
+            return result
 
-    monkeypatch.setattr(trial_search, "search_on_samples", on_samples)
-    assert [scripted.trial(), scripted.trial()] == [1, kept]
-    assert steps == [3] * samples and len(scripted.refitted_from) == refits
-    assert scripted.search.result.evaluations == 10 * len(losses) + 3 * samples
+        return search
+
+    for number, name in ((1, "search_on_samples"), (2, "search_policy")):
+        monkeypatch.setattr(trial_search, name, marked(number, getattr(trial_search, name)))
+    monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
+    promise = None if promised is None else Scripted(promised)
+    settings = SearchSettings(2, 2, 2, sample_steps=3)
+    search = TrialSearch(settings, lambda: random_policy(Draws(0)), generator(), promise)
+    result = search.run(loss, INITIAL, None)
+    assert loss.actor_network.weights[0, 0].item() == kept
+    assert result.evaluations > 3  # the work of both
+    assert not search.refitted
 
 
 def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None:

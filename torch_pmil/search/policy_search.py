@@ -72,7 +72,7 @@ class SearchSettings(Settings):
     )
     sample_steps: int = setting(
         0,
-        "steps on samples of the whole horizon, after which a stuck search begins anew",
+        "steps on sampled trajectories of the whole horizon, before the search of the loss",
         least=0,
         unit="steps of Adam",
     )

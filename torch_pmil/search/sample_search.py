@@ -11,6 +11,8 @@ L-BFGS is unfit for it: Adam takes its steps (Kingma and Ba 2015).
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -27,6 +29,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 PARTICLES = 50  # of each step of Adam
 REDRAWN = 10  # steps after which particles follow other functions
 RATE, LAST_RATE = 0.03, 0.003  # of Adam, at first and at last; parameters are of order one
+JUDGES = 200  # particles by which policies are compared
 
 
 def search_on_samples(
@@ -79,3 +82,14 @@ def _units(loss: TrajectoryLoss, initial: Gaussian, generator: torch.Generator) 
 def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
     r"""Mean over trajectories (N, \*batch, T, D) of the sum of their costs."""
     return loss.sample_costs(states).sum(-1).mean()
+
+
+@torch.no_grad()
+def expected_cost(loss: TrajectoryLoss, initial: Gaussian, seed: int) -> float:
+    """Cost of a policy by particles, to be compared with that of others of the same seed."""
+    generator = torch.Generator().manual_seed(seed)
+    start, policy = loss.begin(initial)
+    functions = FunctionSamples.draw(loss.dynamics, JUDGES, generator)
+    given = functions, loss.dynamics, loss.space, loss.horizon, generator
+    cost = mean_cost(loss, sample_consistent_rollouts(start, policy, *given)[..., 1:, :]).item()
+    return cost if math.isfinite(cost) else math.inf

@@ -27,8 +27,9 @@ from torch_pmil.search.policy_search import (
     search_policy,
 )
 from torch_pmil.search.promise import PredictedSuccess, Promise
-from torch_pmil.search.sample_search import search_on_samples
+from torch_pmil.search.sample_search import expected_cost, search_on_samples
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.seeds import draw_seed
 
 # trust of a search that comes no further, and its last iterations, in those of the settings
 BOLDER = 4.0
@@ -51,8 +52,9 @@ class TrialSearch:
     succeeded: before, the failures may be what the model does not know yet. In a whole run these
     searches take as many evaluations as the others, at most.
 
-    With ``settings.sample_steps`` a search that is stuck begins once more after a search on samples
-    of the whole horizon (:func:`search_on_samples`), before the policy is refitted.
+    With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
+    first, from the last policy, and then the loss from there. The second policy is kept if it keeps
+    the promise, else the one of less expected cost.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -86,10 +88,9 @@ class TrialSearch:
         search = partial(
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )
+        if settings.sample_steps:
+            return self._begun_on_samples(loss, initial, search)
         self.result = search(random=self._least == math.inf)
-        if settings.sample_steps and not self._enough(succeeded):
-            again = partial(self._from_samples, loss, initial, search)
-            self._keep_better(loss, copy.deepcopy(loss.actor_network), again)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
             new = self.make_policy()
@@ -117,15 +118,24 @@ class TrialSearch:
             self._credit -= self.result.evaluations - before
         return self.result
 
-    def _from_samples(
+    def _begun_on_samples(
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
-        """Search on samples, and the loss from there."""
-        begun = time.perf_counter()
-        run = search_on_samples(loss, initial, self.settings.sample_steps, self.generator)
+        """Search on samples, then the loss, and keep the better of the two policies."""
+        begun, network, generator = time.perf_counter(), loss.actor_network, self.generator
+        run = search_on_samples(loss, initial, self.settings.sample_steps, generator)
         self.report("samples", run.loss)
         first = outcome(loss, initial, self.settings, loss.horizon, [run], begun)
-        return search().with_work_of(first)
+        judge = partial(expected_cost, loss, initial, draw_seed(generator))
+        expected, found = judge(), copy.deepcopy(network.state_dict())
+        second, promise = search(), self.promise
+        keeps = promise is not None and promise.predicted(loss, initial).least >= promise.aim
+        if keeps or judge() < expected:
+            self.result = second.with_work_of(first)
+        else:
+            network.load_state_dict(found)
+            self.result = first.with_work_of(second)
+        return self.result
 
     def _enough(self, succeeded: bool | None) -> bool:
         """Whether the best policy so far makes other starts needless."""

@@ -18,7 +18,6 @@ from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
@@ -36,7 +35,6 @@ from torch_pmil.tasks.unit_checks import check_units
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
-SAMPLE_STEPS = 500  # without them a search may stay in a poor optimum for many trials
 ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 s at 30 Hz
 TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
@@ -214,10 +212,7 @@ def _task(
         "demonstrated_states": demonstrated,
         "error": of_states(Deviation(marginals, space, allowed)),
         "tolerance": TOLERANCE,
-        "method": Method(
-            PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE),
-            search=SearchSettings(sample_steps=SAMPLE_STEPS),
-        ),
+        "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,
     }
     fixed: dict[str, Any] = {"make_env": robot, "space": space, "demonstrations": shown}

@@ -32,5 +32,5 @@ def generator_of(stream: Stream, seed: int) -> torch.Generator:
 
 
 def draw_seed(generator: torch.Generator) -> int:
-    """The seed of another generator."""
-    return int(torch.randint(LARGEST_SEED, (), generator=generator))
+    """A seed for something else, such as an environment."""
+    return int(torch.randint(SEEDS[1], (), generator=generator))

@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase, SerialEnv, step_mdp
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Continued, within_half_a_turn
-from torch_pmil.seeds import SEEDS
+from torch_pmil.seeds import draw_seed
 
 CIRCLE = 2.0  # radius, or its inverse, beyond which noise explains no cosine and sine
 
@@ -134,7 +134,7 @@ class AdaptedEnv(RobotEnv):
                 f"{mask.numel()}"
             )
         self.cut_short = ""
-        self.base_env.set_seed(int(torch.randint(SEEDS[1], (), generator=self._generator)))
+        self.base_env.set_seed(draw_seed(self._generator))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
         self._turned = near.expand(*self.batch_size, len(self.angles))

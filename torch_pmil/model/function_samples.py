@@ -66,26 +66,19 @@ class FunctionSamples:
 
     @classmethod
     @torch.no_grad()
-    def draw(
-        cls,
-        dynamics: GPDynamics,
-        count: int,
-        generator: torch.Generator,
-        num_frequencies: int = FREQUENCIES,
-    ) -> FunctionSamples:
+    def draw(cls, dynamics: GPDynamics, count: int, generator: torch.Generator) -> FunctionSamples:
         """Draw functions from the posterior of a model.
 
-        Raises ValueError if a count is less than one, RuntimeError if the model has no data.
+        Raises ValueError if the count is less than one, RuntimeError if the model has no data.
         """
         check_whole("count", count, 1)
-        check_whole("num_frequencies", num_frequencies, 1)
         expansion = dynamics.expansion
         inputs, inverse, E = expansion.inputs, expansion.gram_inverse, expansion.num_outputs
         assert inverse is not None  # it is the posterior of a GP
-        shape = E, num_frequencies, expansion.num_inputs
+        shape = E, FREQUENCIES, expansion.num_inputs
         frequencies = normal(shape, inputs, generator) / expansion.lengthscales[:, None]
-        scale = (expansion.signal_variance / num_frequencies).sqrt()
-        weights = scale[:, None] * normal((count, E, 2 * num_frequencies), inputs, generator)
+        scale = (expansion.signal_variance / FREQUENCIES).sqrt()
+        weights = scale[:, None] * normal((count, E, 2 * FREQUENCIES), inputs, generator)
         prior = weights.transpose(0, 1) @ _features(frequencies, inputs).mT  # (E, N, n)
         white = normal(prior.shape, inputs, generator)
         root = _root_of_sparse(expansion) if dynamics.sparse else _root_of_exact(expansion)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -237,30 +237,18 @@ class SearchRuns:
 
     def result(self, horizon: int) -> SearchResult:
         """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
-        return outcome(self.loss, self.initial, self.settings, horizon, self.runs, self.start)
-
-
-def outcome(
-    loss: TrajectoryLoss,
-    initial: Gaussian,
-    settings: SearchSettings,
-    horizon: int,
-    runs: Sequence[MinimiseResult],
-    begun: float,
-) -> SearchResult:
-    """Outcome of runs of an optimiser since a time, the last one up to a horizon."""
-    per_step = evaluate_steps(loss.per_step, initial, loss.horizon)
-    step_loss = step_loss_of(loss, initial)[:horizon]
-    return SearchResult(
-        loss=per_step.sum().item(),
-        per_step=per_step,
-        horizon=horizon,
-        converged=_trusted(step_loss, settings, settings.more_steps(loss.horizon)),
-        evaluations=sum(run.evaluations for run in runs),
-        failures=sum(run.failures for run in runs),
-        seconds=time.perf_counter() - begun,
-        stop_reason=runs[-1].stop_reason,
-    )
+        per_step = evaluate_steps(self.loss.per_step, self.initial, self.loss.horizon)
+        step_loss = step_loss_of(self.loss, self.initial)
+        return SearchResult(
+            loss=per_step.sum().item(),
+            per_step=per_step,
+            horizon=horizon,
+            converged=self._trusted(step_loss[:horizon]),
+            evaluations=sum(run.evaluations for run in self.runs),
+            failures=sum(run.failures for run in self.runs),
+            seconds=time.perf_counter() - self.start,
+            stop_reason=self.runs[-1].stop_reason,
+        )
 
 
 @torch.no_grad()

@@ -72,11 +72,18 @@ def _units(loss: TrajectoryLoss, initial: Gaussian, generator: torch.Generator) 
 
     A cost that is a mean over particles changes by 1 / N at most when one state moves by as much.
     """
-    start, policy = loss.begin(initial)
-    functions = FunctionSamples.draw(loss.dynamics, PARTICLES, generator)
-    given = functions, loss.dynamics, loss.space, loss.horizon, generator
-    states = sample_consistent_rollouts(start, policy, *given)
+    states = _rollouts(loss, initial, PARTICLES, generator)
     return states[..., 0, 0].numel() * states.flatten(0, -2).std(0)
+
+
+def _rollouts(
+    loss: TrajectoryLoss, initial: Gaussian, count: int, generator: torch.Generator
+) -> Tensor:
+    """States at t = 0..T, (count, *batch, T + 1, D), of particles under the loss's policy."""
+    start, policy = loss.begin(initial)
+    functions = FunctionSamples.draw(loss.dynamics, count, generator)
+    given = functions, loss.dynamics, loss.space, loss.horizon, generator
+    return sample_consistent_rollouts(start, policy, *given)
 
 
 def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
@@ -87,9 +94,6 @@ def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
 @torch.no_grad()
 def expected_cost(loss: TrajectoryLoss, initial: Gaussian, seed: int) -> float:
     """Cost of a policy by particles, to be compared with that of others of the same seed."""
-    generator = torch.Generator().manual_seed(seed)
-    start, policy = loss.begin(initial)
-    functions = FunctionSamples.draw(loss.dynamics, JUDGES, generator)
-    given = functions, loss.dynamics, loss.space, loss.horizon, generator
-    cost = mean_cost(loss, sample_consistent_rollouts(start, policy, *given)[..., 1:, :]).item()
+    states = _rollouts(loss, initial, JUDGES, torch.Generator().manual_seed(seed))
+    cost = mean_cost(loss, states[..., 1:, :]).item()
     return cost if math.isfinite(cost) else math.inf

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +21,6 @@ from torch_pmil.search.policy_search import (
     SearchResult,
     SearchRuns,
     SearchSettings,
-    outcome,
     refit_policy,
     search_policy,
 )
@@ -122,10 +120,11 @@ class TrialSearch:
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
         """Search on samples, then the loss, and keep the better of the two policies."""
-        begun, network, generator = time.perf_counter(), loss.actor_network, self.generator
-        run = search_on_samples(loss, initial, self.settings.sample_steps, generator)
-        self.report("samples", run.loss)
-        first = outcome(loss, initial, self.settings, loss.horizon, [run], begun)
+        network, generator = loss.actor_network, self.generator
+        runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
+        runs.runs.append(search_on_samples(loss, initial, self.settings.sample_steps, generator))
+        self.report("samples", runs.runs[-1].loss)
+        first = runs.result(loss.horizon)
         judge = partial(expected_cost, loss, initial, draw_seed(generator))
         expected, found = judge(), copy.deepcopy(network.state_dict())
         second, promise = search(), self.promise

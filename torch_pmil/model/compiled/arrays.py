@@ -19,6 +19,11 @@ def zeros(*shape: int) -> Any:
     return memory[start : start + count].reshape(shape)
 
 
+def filled_up(count: int) -> int:
+    """The next multiple of eight."""
+    return count + -count % WIDTH
+
+
 class Functions(NamedTuple):
     """The E functions of a :class:`KernelExpansion` of D inputs, as kernels read them.
 

@@ -122,6 +122,6 @@ class CostsOfMeans:
         follow(self.robot, self.mean, self.noise, self.tape, self.work)
         of_costs = self.tape.states[0, 1:], self.saturating, self.cost_work
         write_costs_of_means(self.observation, self.roots, *of_costs, *self.out)
-        sweep = self.tape, d_states[None], self.unbounded
+        sweep = self.tape, d_states[None], self.unbounded, self.work
         roll_back(self.robot, *sweep, self.of_start, gradient)
         return costs

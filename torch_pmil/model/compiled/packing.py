@@ -13,13 +13,13 @@ from torch import Tensor
 from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.trigonometry import Augmentation
-from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, filled_up, zeros
 from torch_pmil.model.compiled.building import Array, Array1, Array2, Array3
 from torch_pmil.model.compiled.costs import Observation
 from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
-from torch_pmil.model.compiled.sampled_trajectory import Draws, as_rows, filled_up
+from torch_pmil.model.compiled.sampled_trajectory import Draws, as_rows
 from torch_pmil.model.compiled.trajectory import Robot, Steps
-from torch_pmil.model.compiled.vectors import LOG2_E, WIDTH
+from torch_pmil.model.compiled.vectors import LOG2_E
 
 Parameters = Sequence[Tensor]  # centres, weights and widths of a policy
 DEMONSTRATED = "demonstrated covariance"
@@ -133,7 +133,7 @@ def functions_of(f: KernelExpansion) -> Functions:
 def _packed(f: KernelExpansion) -> Functions:
     """Functions, filled up with data of weight zero."""
     (n, D), E = f.inputs.shape, f.num_outputs
-    padded = n + -n % WIDTH
+    padded = filled_up(n)
     inputs, weights = zeros(D, padded), zeros(E, padded)
     inputs[:, :n], weights[:, :n] = array(f.inputs.mT), array(f.weights)
     log_signal, squares = array(f.log_signal_variance), array(f.lengthscales.square())

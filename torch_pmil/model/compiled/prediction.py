@@ -133,10 +133,11 @@ class _States(torch.autograd.Function):
         draws = mean_of(model) if drawn is None else draws_of(model, drawn, middle)
         tapes = [ParticleTape.of(robot, N, T) for robot in robots]
         starts, noises = array(start.transpose(0, 1)), array(noise.transpose(0, 1))
+        work = ParticleWork.of(robots[0], draws)
         for robot, tape, of_start, of_noise in zip(robots, tapes, starts, noises, strict=True):
             tape.states[:, 0] = of_start
-            follow(robot, draws, of_noise, tape, ParticleWork.of(robot, draws))
-        ctx.robots, ctx.tapes, ctx.units = robots, tapes, array(units)
+            follow(robot, draws, of_noise, tape, work)
+        ctx.robots, ctx.tapes, ctx.units, ctx.work = robots, tapes, array(units), work
         ctx.save_for_backward(*parameters)
         return torch.from_numpy(np.stack([tape.states[:, 1:] for tape in tapes], 1))
 
@@ -147,7 +148,8 @@ class _States(torch.autograd.Function):
         d_start = np.empty((B, N, D))
         gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
         for i, (robot, tape) in enumerate(zip(ctx.robots, ctx.tapes, strict=True)):
-            roll_back(robot, tape, d_states[i], ctx.units, d_start[i], gradients[i])
+            sweep = tape, d_states[i], ctx.units, ctx.work
+            roll_back(robot, *sweep, d_start[i], gradients[i])
         of_start = torch.from_numpy(d_start).transpose(0, 1)
         of_parameters = gradients_of(gradients, ctx.saved_tensors)
         return None, None, None, None, of_start, *of_parameters

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, filled_up, zeros
 from torch_pmil.model.compiled.building import (
     Array1,
     Array2,
@@ -86,19 +86,13 @@ class ParticleWork(NamedTuple):
     d_next: Array1  # (D,)
 
     @classmethod
-    def of(cls, robot: Robot, draws: Draws | None = None) -> ParticleWork:
-        """Room for this robot, and for these functions if they are to be followed."""
-        (R, D), F, terms = robot.rows.shape, len(robot.u_max), robot.network.inputs.shape[1]
-        if draws is not None:
-            terms = max(terms, draws.waves.shape[2], len(draws.rows_of_data))
+    def of(cls, robot: Robot, draws: Draws) -> ParticleWork:
+        """Room for this robot and these functions."""
+        (R, D), F, m = robot.rows.shape, len(robot.u_max), robot.network.inputs.shape[1]
+        terms = max(m, draws.waves.shape[2], len(draws.rows_of_data))
         inputs = filled_up(R + F)
         shapes = R, R + F, terms, inputs, inputs, D
         return cls(*(zeros(shape) for shape in shapes))
-
-
-def filled_up(count: int) -> int:
-    """The next multiple of eight."""
-    return count + -count % WIDTH
 
 
 def as_rows(values: np.ndarray) -> np.ndarray:
@@ -343,6 +337,7 @@ def roll_back(
     tape: ParticleTape,
     d_states: Array3,
     units: Array1,
+    work: ParticleWork,
     d_start: Array2,
     out: NetworkGradient,
 ) -> None:
@@ -353,8 +348,8 @@ def roll_back(
     network, (N, T, _) = robot.network, d_states.shape
     centres, (F, m), R = network.inputs, network.weights.shape, len(network.inputs)
     of_kernels = zeros(F, N, T, m)
-    scratch = as_rows(centres), ParticleWork.of(robot)
-    adjoint_of_particles(robot, tape, d_states, units, *scratch, d_start, of_kernels)
+    sweep = robot, tape, d_states, units, as_rows(centres), work
+    adjoint_of_particles(*sweep, d_start, of_kernels)
     x = tape.inputs[..., :R].reshape(-1, R)
     powers = np.concatenate([np.ones_like(x[:, :1]), x, np.square(x)], 1)
     for k in range(F):

@@ -74,7 +74,7 @@ def measured(folder: Path, experiment: Task) -> dict[str, object]:
     of_each = [of_outcome(experiment, learned.dynamics, outcome) for outcome in outcomes]
     horizons = [trial["horizon"] for trial in learned.summary["trials"]]
     largest_loss = loss.step_loss_for_trust(experiment.initial).amax().item()
-    reasons = likely_reasons(experiment, loss, outcomes, horizons)
+    reasons = likely_reasons(experiment, loss, outcomes, horizons, [])
     return {
         "run": str(folder),
         "experiment": experiment.name,

@@ -19,7 +19,8 @@ from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.runs.summaries import read_summary
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import Prediction
-from torch_pmil.tasks.pilco import VELOCITY_STD, random_states
+from torch_pmil.tasks.cost_task import random_states
+from torch_pmil.tasks.pilco import VELOCITY_STD
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -88,7 +89,8 @@ class Variation(Task):
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states, or near random ones."""
         if self.random_centres:
-            states = random_states(self.space, VELOCITY_STD, generator)
+            std = torch.full((self.space.dim,), VELOCITY_STD, dtype=torch.float64)
+            states = random_states(self.space, self.initial.mean, std, generator)
             return self.policy_near(self.space.features(states), generator)
         return super().make_policy(generator)
 

@@ -31,8 +31,10 @@ from torch_pmil.demonstrations.distribution import demonstration_spread
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.rollouts import of_states, states_of
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.target_costs import SaturatingCost
+from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.own_robot import own_robot
-from torch_pmil.tasks.pilco import PilcoTask
+from torch_pmil.tasks.pilco import with_cost
 from torch_pmil.tasks.task import Task
 
 INSTALL = "pip install --no-deps robosuite==1.5.2"
@@ -61,7 +63,7 @@ SEARCH = SearchSettings(
 )
 COST_WIDTH, MOST_SPEED = 0.5, 3.0  # of PILCO's cost: rad, rad/s
 # as many iterations, all over the whole horizon: the first policy is not far from the last pose
-COST_SEARCH = replace(SEARCH, first_horizon=1.0, skip_matched_steps=False)
+COST_SEARCH = replace(SEARCH, first_horizon=1.0, skip_matched_steps=False, trust_threshold=0.15)
 
 Array = NDArray[np.float64]
 
@@ -285,24 +287,26 @@ def spread(shown: Demonstrations) -> float:
     return demonstration_spread(shown).square().mean().sqrt().item()
 
 
-class ArmPilco(PilcoTask):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArmPilco(CostTask):
     """The motion's last pose by PILCO's cost, with the first policy and motion of the imitation."""
+
+    shown_states: Tensor  # (S, D)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states."""
-        return self.policy_near(self.demonstrated_inputs, generator)
+        return self.policy_near(self.space.features(self.shown_states), generator)
 
 
 def pilco_experiment(arm: Arm) -> ArmPilco:
     """The same arm and first motion, with PILCO's cost of the distance from the last pose."""
     task = arm_experiment(arm)
-    same: dict[str, Any] = {entry.name: getattr(task, entry.name) for entry in fields(task)}
-    return ArmPilco(
-        **(same | {"name": f"{arm.name}_pilco", "search": COST_SEARCH}),
-        target=task.demonstrations.positions[:, -1].mean(0),
-        cost_width=COST_WIDTH,
-        velocity_std=MOST_SPEED,
-    )
+    last, names = task.demonstrations.positions[:, -1].mean(0), task.space.match_space.names
+    cost = SaturatingCost(target=dict(zip(names, last.tolist(), strict=True)), width=COST_WIDTH)
+    pilco = with_cost(task, f"{arm.name}_pilco", cost, MOST_SPEED)
+    same: dict[str, Any] = {entry.name: getattr(pilco, entry.name) for entry in fields(pilco)}
+    method = replace(task.method, search=COST_SEARCH)
+    return ArmPilco(**(same | {"method": method}), shown_states=task.demonstrated_states)
 
 
 @torch.no_grad()

@@ -160,7 +160,7 @@ def drawn(arm: Arm, learned: Learned, task: Task) -> dict[str, Figure]:
         f"{arm.name}_joints": plot_distributions(
             [name.removesuffix("_joint").replace("_", " ") for name in arm.joints],
             ["°"] * count,
-            task.demonstrations.time_step,
+            task.time_step,
             task.demonstrations.positions @ own.mT,
             task.demonstrated.affine(own),
             predicted.add_noise((own.diagonal() * task.noise_std) ** 2),
@@ -185,7 +185,7 @@ def photo_series(rollout: TensorDictBase, task: Task) -> Figure:
         "demonstrated": task.demonstrated_states.unflatten(0, shape).mean(0),
         "learned": states_of(rollout),
     }
-    steps = [round(time / task.demonstrations.time_step) for time in PHOTOGRAPHED]
+    steps = [round(time / task.time_step) for time in PHOTOGRAPHED]
     env = task.make_env(seed=0)
     try:
         pictures = {

@@ -48,12 +48,9 @@ from .model.rollout import (
     predict_step as predict_step,
     predict_trajectory as predict_trajectory,
 )
-from .runs.pmil import PMIL as PMIL
+from .runs.pmil import PILCO as PILCO, PMIL as PMIL
 from .search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
-from .search.losses import (
-    ExpectedSaturatingCost as ExpectedSaturatingCost,
-    TrajectoryKLLoss as TrajectoryKLLoss,
-)
+from .search.losses import TrajectoryKLLoss as TrajectoryKLLoss
 from .search.multi_target_loss import MultiTargetKLLoss as MultiTargetKLLoss
 from .search.policy_search import (
     SearchResult as SearchResult,
@@ -63,7 +60,17 @@ from .search.policy_search import (
 from .search.saturating_cost import (
     expected_saturating_cost as expected_saturating_cost,
 )
+from .search.target_costs import (
+    QuadraticCost as QuadraticCost,
+    SaturatingCost as SaturatingCost,
+)
+from .search.target_losses import (
+    ExpectedQuadraticCost as ExpectedQuadraticCost,
+    ExpectedSaturatingCost as ExpectedSaturatingCost,
+)
+from .tasks.cost_task import CostTask as CostTask
 from .tasks.method import Method as Method, PolicySettings as PolicySettings
+from .tasks.own_cost import own_cost as own_cost
 from .tasks.own_robot import own_robot as own_robot
 from .tasks.registry import load_experiment as load_experiment
 from .tasks.task import Task as Task

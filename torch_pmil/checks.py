@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from numbers import Real
 
 import torch
 from torch import Tensor
@@ -56,6 +57,19 @@ def check_positive(name: str, value: object, zero: bool = False) -> None:
     if not number or not 0 <= value <= LARGEST or (value == 0 and not zero):  # type: ignore[operator]
         wanted = "a finite number that is not negative" if zero else "a positive finite number"
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def check_number(name: str, value: object) -> None:
+    """Raise ValueError unless a value is a finite real number.
+
+    Example:
+        >>> check_number("target of x", None)
+        Traceback (most recent call last):
+        ValueError: target of x must be a finite number, got None
+    """
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if not number or not math.isfinite(value):  # type: ignore[arg-type]
+        raise ValueError(f"{name} must be a finite number, got {value!r:.80}")
 
 
 def check_names(name: str, values: object) -> None:

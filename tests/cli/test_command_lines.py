@@ -205,7 +205,7 @@ LINES = (
     ("train experiment=biorob exploration.hold=0", "exploration.hold must be a whole number of at"),
     ("train experiment=biorob exploration.pose=[0]", "exploration.reach must have shape (1,), got"),
     ("train experiment=biorob random_action=0.5", "a setting of biorob must be one of noise_std, "),
-    ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
+    ("train experiment=double_pendulum_pilco cost.width=-1", "cost.width must be a finite number"),
     ("train settings=missing.yaml", "there is no file missing.yaml"),
     ("train settings=~nosuchuser/x", "there is no folder ~nosuchuser"),
     ("train settings=", ".: must be a regular file of at most 16384 bytes, got a folder"),

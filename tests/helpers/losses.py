@@ -14,7 +14,8 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
 
 HORIZON, NOISE_STD, WIDTH = 4, 0.1, 0.4
 TIP = MatchSpace(

@@ -17,8 +17,9 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 Results = dict[str, Tensor]

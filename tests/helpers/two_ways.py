@@ -10,7 +10,8 @@ import pytest
 
 from torch_pmil.model import rollout
 from torch_pmil.search import trajectory_loss
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
 
 
 @contextmanager

@@ -31,8 +31,9 @@ from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, trajectory_kl
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings, search_policy
+from torch_pmil.search.target_losses import ExpectedQuadraticCost, ExpectedSaturatingCost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 WEIGHT = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
@@ -198,14 +199,45 @@ def test_doubt_of_a_kl_is_the_kl_of_an_entry(loss: TrajectoryKLLoss, initial: Ga
     assert torch.equal(loss.step_loss_for_trust(initial, 3), expected)
 
 
-def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:
-    """1 - |I + W S / width²|^(-1/2), whether the target is near or far."""
-    for place in (0.0, 9.0):
-        cost = make_cost(seed=0, weight=WEIGHT, target=torch.full((2,), place))
-        spread = WEIGHT @ cost.predict(initial, 3).cov / WIDTH**2
-        expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
-        assert_close(cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0)
-        assert (expected > 1e-3).all()
+def test_spread_is_the_variance_of_the_prediction_in_that_of_the_data(initial: Gaussian) -> None:
+    """In the match space, in the mean over its entries, for a KL without the noise."""
+    for loss in (make_kl(seed=0), make_cost(seed=0, width=0.01)):
+        states = SPACE.states(loss.dynamics.train_inputs[:, :3])
+        predicted = TIP.moments(loss.predict_states(initial, 3)).cov.diagonal(dim1=-2, dim2=-1)
+        expected = (predicted / TIP(states).var(0)).mean(-1)
+        assert_close(loss.spread(initial, 3), expected, rtol=1e-10, atol=0)
+
+
+def test_spread_has_no_unit(initial: Gaussian) -> None:
+    """It is the same for a tip that is seen in millimetres."""
+    loss = make_kl(seed=0)
+    same = loss.spread(initial)
+    finer = replace(TIP, units=("mm", "mm"), weights=1000 * TIP.weights)
+    loss.space = replace(SPACE, match_space=finer)
+    assert_close(loss.spread(initial), same, rtol=1e-9, atol=0)
+
+
+def test_doubt_of_a_cost_is_how_unsure_its_prediction_is(initial: Gaussian) -> None:
+    """Whether the target is near or far."""
+    near, far = (make_cost(seed=0, target=torch.full((2,), place)) for place in (0.0, 9.0))
+    assert torch.equal(near.step_loss_for_trust(initial), near.spread(initial))
+    assert torch.equal(near.spread(initial), far.spread(initial))
+
+
+def test_quadratic_cost_is_that_of_samples(initial: Gaussian, draws: Draws) -> None:
+    """Within five standard errors of 10^5 samples, and its gradient by gradcheck."""
+    parts, target = make_parts(draws), torch.tensor([0.2, 0.3])
+    cost = ExpectedQuadraticCost(*parts, SPACE, target, WIDTH, HORIZON, WEIGHT)
+    with torch.no_grad():
+        seen = cost.predict(initial)
+        apart = seen.sample(100_000, draws.generator) - target
+        squares = torch.einsum("...i,ij,...j->...", apart, WEIGHT, apart) / WIDTH**2
+    errors = squares.std(0) / len(squares) ** 0.5
+    assert ((cost.per_step(initial) - squares.mean(0)).abs() < 5 * errors).all()
+    mean = seen.mean.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda m: cost._costs(Gaussian(m, seen.cov)), (mean,))
+    certain = Gaussian(seen.mean, torch.zeros_like(seen.cov))
+    assert_close(cost._costs(certain), cost._mean_costs(seen.mean))
 
 
 @pytest.mark.parametrize("key", ["loss_kl", "loss_cost"])

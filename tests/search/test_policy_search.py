@@ -24,7 +24,7 @@ from tests.helpers.integrator import (
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import (
     WORTHWHILE,
     SearchResult,
@@ -33,6 +33,7 @@ from torch_pmil.search.policy_search import (
     refit_policy,
     search_policy,
 )
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
 
 HORIZON = 6
 
@@ -170,7 +171,7 @@ def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: Trajectory
     assert result.per_step[2:4].mean() > SETTINGS.trust_threshold
 
 
-@pytest.mark.parametrize(("threshold", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
+@pytest.mark.parametrize(("threshold", "horizon"), [(1e-9, 2), (0.5, HORIZON)])
 def test_costly_prediction_is_followed_as_far_as_it_is_sure(
     draws: Draws, threshold: float, horizon: int
 ) -> None:

@@ -14,9 +14,10 @@ from tests.helpers.draws import Draws
 from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.search import trial_search
-from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
 from torch_pmil.search.trial_search import (
     BOLDER,
     PROGRESS,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -13,24 +12,23 @@ from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import link_positions
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.search.losses import ExpectedSaturatingCost
-from torch_pmil.tasks.pilco import PilcoTask, double_pendulum_pilco
+from torch_pmil.search.target_losses import ExpectedSaturatingCost
+from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.registry import load_experiment
 
 
 @pytest.fixture(scope="module")
-def pilco() -> PilcoTask:
+def pilco() -> CostTask:
     return load_experiment("double_pendulum_pilco")
 
 
-def policy_of(pilco: PilcoTask, seed: int = 0) -> RBFPolicy:
+def policy_of(pilco: CostTask, seed: int = 0) -> RBFPolicy:
     return pilco.make_policy(torch.Generator().manual_seed(seed))
 
 
-def make_loss(pilco: PilcoTask, draws: Draws) -> ExpectedSaturatingCost:
+def make_loss(pilco: CostTask, draws: Draws) -> ExpectedSaturatingCost:
     dynamics = GPDynamics(8, 4)
     dynamics.set_data(draws.normal(5, 8), draws.normal(5, 4))
     return pilco.make_loss(policy_of(pilco), dynamics)
@@ -41,7 +39,7 @@ def cost_of(loss: ExpectedSaturatingCost, state: Tensor) -> float:
 
 
 def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
-    pilco: PilcoTask, draws: Draws
+    pilco: CostTask, draws: Draws
 ) -> None:
     """1 - exp(-|x - x_target|² / 8), the link ends 1 and 2 m below the target when hanging."""
     loss = make_loss(pilco, draws)
@@ -53,7 +51,7 @@ def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
     assert loss.horizon == pilco.horizon == 25
 
 
-def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoTask) -> None:
+def test_robot_model_and_policy_class_are_those_of_imitation(pilco: CostTask) -> None:
     imitation = load_experiment("double_pendulum")
     for same in ("make_env", "tolerance", "error", "horizon"):
         assert getattr(pilco, same) == getattr(imitation, same)
@@ -65,21 +63,14 @@ def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoTask) -
     assert sum(p.numel() for p in policy_of(pilco).parameters()) == 812
 
 
-def test_demonstrations_change_nothing(pilco: PilcoTask) -> None:
-    shipped = shipped_demonstrations("double_pendulum")
-    other = double_pendulum_pilco(replace(shipped, positions=0.5 * shipped.positions))
-    losses = [make_loss(task, Draws(seed=1)).per_step(pilco.initial) for task in (pilco, other)]
-    assert torch.equal(*losses)
-
-
-def test_policies_are_random_and_seeded(pilco: PilcoTask) -> None:
+def test_policies_are_random_and_seeded(pilco: CostTask) -> None:
     policies = [policy_of(pilco, seed) for seed in (0, 0, 1)]
     first, again, other = (parameters_to_vector(policy.parameters()) for policy in policies)
     assert torch.equal(first, again)
     assert not torch.isclose(first[:600], other[:600]).any()
 
 
-def test_centres_are_spread_over_all_angles_and_the_given_velocities(pilco: PilcoTask) -> None:
+def test_centres_are_spread_over_all_angles_and_the_given_velocities(pilco: CostTask) -> None:
     """Of 400 centres: means to four standard errors of 100, deviations to a fifth."""
     policy = policy_of(pilco.with_settings(num_centres=400))
     centres = (policy.centres * policy.scale).detach()
@@ -89,8 +80,10 @@ def test_centres_are_spread_over_all_angles_and_the_given_velocities(pilco: Pilc
     assert_close(policy.scale, std, rtol=0.2, atol=0)
 
 
-def test_settings_name_what_the_cost_depends_on(pilco: PilcoTask) -> None:
-    velocities = {"velocity_std": 3.0}
-    named = {"target": [0.0, 0.5, 0.0, 1.0], "cost_width": 2.0, **velocities}
-    assert named.items() <= pilco.settings.items()
-    assert pilco.settings.keys() >= load_experiment("double_pendulum").settings.keys()
+def test_settings_name_what_the_cost_depends_on(pilco: CostTask) -> None:
+    target = {"x1": 0.0, "y1": 0.5, "x2": 0.0, "y2": 1.0}
+    cost = {"cost": "SaturatingCost", "target": target, "width": 2.0}
+    assert {"cost": cost, "centre_std": [3.0] * 4}.items() <= pilco.settings.items()
+    of_imitation = load_experiment("double_pendulum").settings.keys() - {"noise_std"}
+    assert pilco.settings.keys() >= of_imitation
+    assert pilco.with_settings(**{"cost.width": 1.0}).cost.width == 1.0

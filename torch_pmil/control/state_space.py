@@ -221,6 +221,19 @@ class StateSpace:
         plain, for_sine, for_cosine = selected.split(sizes, -1)
         return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
+    def states(self, features: Tensor) -> Tensor:
+        """States (*batch, D) of features (*batch, D'), with each angle within half a turn.
+
+        Example:
+            >>> space = StateSpace(("q",), ("rad",), (0,), joint_match(("q",), ("rad",)))
+            >>> round(space.states(space.features(torch.tensor([1.0]))).item(), 6)
+            1.0
+        """
+        sizes = [len(self.plain), len(self.angles), len(self.angles)]
+        plain, sines, cosines = features.split(sizes, -1)
+        in_order = torch.cat([plain, torch.atan2(sines, cosines)], -1)
+        return in_order[..., torch.argsort(torch.tensor((*self.plain, *self.angles)))]
+
     def feature_moments(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the features, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
         return self.augmentation.to(state.mean)(state)

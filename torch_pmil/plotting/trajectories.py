@@ -39,8 +39,8 @@ def plot_distributions(
     names: Sequence[str],
     units: Sequence[str],
     time_step: float,
-    demonstrations: Tensor,
-    demonstrated: Gaussian,
+    demonstrations: Tensor | None,
+    demonstrated: Gaussian | None,
     predicted: Gaussian,
     executed: Tensor,
 ) -> Figure:
@@ -54,9 +54,9 @@ def plot_distributions(
     Args:
         names, units: those of the M entries of the match space.
         time_step: seconds between two samples.
-        demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
-        demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
-        predicted: predicted marginals of the same shape.
+        demonstrations: N demonstrations at t = 0..T, (N, T + 1, M); None if there are none.
+        demonstrated: demonstrated marginals at t = 1..T, or None.
+        predicted: predicted marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         executed: rollouts of the robot at t = 0..T, (B, T + 1, M), NaN after the end of one that
             was cut short; the first 5 are drawn.
 
@@ -74,28 +74,31 @@ def plot_distributions(
         >>> figure.legends[0].get_texts()[-1].get_text()
         'the first 5 of 9 rollouts'
     """
-    check_some("demonstrated.mean", demonstrated.mean)
-    T, M = demonstrated.mean.shape
-    paths = demonstrations.shape[1:] == executed.shape[1:] == (T + 1, M)
+    marginals = predicted if demonstrated is None else demonstrated
+    shown = executed[:0] if demonstrations is None else demonstrations
+    check_some("demonstrated.mean", marginals.mean)
+    T, M = marginals.mean.shape
+    paths = shown.shape[1:] == executed.shape[1:] == (T + 1, M)
     if not (predicted.mean.shape == (T, M) and paths and len(names) == len(units) == M):
         raise ValueError(
             f"predicted must be {(T, M)}, demonstrations and executed (N, {T + 1}, {M}) for "
             f"demonstrated marginals {(T, M)}, with a name and a unit for each entry, got "
-            f"{tuple(predicted.mean.shape)}, {tuple(demonstrations.shape)} and "
+            f"{tuple(predicted.mean.shape)}, {tuple(shown.shape)} and "
             f"{tuple(executed.shape)}, {len(names)} names and {len(units)} units"
         )
     time = time_step * np.arange(T + 1)
     figure, panels = panels_over_time(list(map(with_unit, names, units)))
     for entry, panel in enumerate(panels):
-        shown, done = (
-            paths[..., entry].detach().numpy() for paths in (demonstrations, executed[:FEW])
-        )
-        band, prediction = band_of(demonstrated, entry), band_of(predicted, entry)
-        draw_band(panel, time[1:], band, BLUE, f"demonstrated ± {BAND} std")
-        _draw_paths(panel, time, shown, {"color": BLUE, "linewidth": 0.6}, "demonstrations")
+        given, done = (each[..., entry].detach().numpy() for each in (shown, executed[:FEW]))
+        prediction, drawn = band_of(predicted, entry), [*given, *done]
+        if demonstrated is not None:
+            band = band_of(demonstrated, entry)
+            draw_band(panel, time[1:], band, BLUE, f"demonstrated ± {BAND} std")
+            drawn += [*band]
+        _draw_paths(panel, time, given, {"color": BLUE, "linewidth": 0.6}, "demonstrations")
         _draw_outline(panel, time[1:], prediction)
         _draw_paths(panel, time, done, EXECUTED, rollouts_of(len(executed)))
-        panel.set_ylim(*_limits(np.concatenate([*band, *shown, *done]), np.concatenate(prediction)))
+        panel.set_ylim(*_limits(np.concatenate(drawn), np.concatenate(prediction)))
     legend_above(figure, 4, panels[0])
     return figure
 

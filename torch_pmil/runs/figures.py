@@ -41,7 +41,7 @@ def figures_of(task: Task, result: RunResult) -> Iterator[tuple[str, plotting.Fi
     first = result.outcomes[0]
     if task.sketch is not None:
         joints = task.sketch(first.executed[0])
-        yield "poses", plotting.plot_poses(joints, task.demonstrations.time_step)
+        yield "poses", plotting.plot_poses(joints, task.time_step)
     if task.plane is not None and is_predicted(first):
         writing = writing_of(task, first.predicted, first.rollouts)
         yield "writing", plotting.plot_writing({task.name.replace("_", " "): writing})
@@ -69,8 +69,8 @@ def _of_outcome(
     task: Task, result: RunResult, outcome: Outcome
 ) -> Iterator[tuple[str, plotting.Figure]]:
     """The figures of one target: trajectories, KL of each step if it was minimised, and policy."""
-    match_space, time_step = task.space.match_space, task.demonstrations.time_step
-    names, demonstrated = match_space.names, outcome.demonstrated
+    match_space, time_step = task.space.match_space, task.time_step
+    names, demonstrated, shown = match_space.names, outcome.demonstrated, outcome.demonstrations
     predicted = match_space.moments(outcome.predicted).add_noise(task.noise_std**2)
     yield (
         "trajectories",
@@ -78,7 +78,7 @@ def _of_outcome(
             names,
             match_space.units,
             time_step,
-            outcome.demonstrations.positions,
+            None if shown is None else shown.positions,
             demonstrated,
             predicted,
             _whole(match_space(outcome.executed), task.horizon),
@@ -86,7 +86,7 @@ def _of_outcome(
     )
     if not is_predicted(outcome):
         return
-    if issubclass(task.objective, TrajectoryKLLoss):
+    if demonstrated is not None and issubclass(task.objective, TrajectoryKLLoss):
         yield "kl_per_step", plotting.plot_kl_per_step(names, time_step, demonstrated, predicted)
     planes = planes_of(task.space, len(task.actions.names), outcome.executed)
     if planes:
@@ -148,7 +148,7 @@ def _calibration(task: Task, result: RunResult) -> plotting.Figure:
     """Calibration of the model on rollouts of the saved policy, of all targets together."""
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
-    space, time_step = task.space, task.demonstrations.time_step
+    space, time_step = task.space, task.time_step
     residuals = standardised_residuals(result.dynamics, space, states, actions)
     learned = result.dynamics.known_part(space).uncertain
     names = [name for name, own in zip(space.names, learned.tolist(), strict=True) if own]

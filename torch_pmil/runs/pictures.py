@@ -106,7 +106,7 @@ def film(task: Task, result: RunResult, path: Path) -> None:
         return
     env = task.make_env(from_pixels=True, seed=0)
     rollout = env.rollout(task.horizon, result.policy.as_tensordict_module())
-    write_video(path, pictures_of(rollout), 1 / task.demonstrations.time_step)
+    write_video(path, pictures_of(rollout), 1 / task.time_step)
 
 
 def film_outcome(env: MujocoRobotEnv, task: Task, outcome: Outcome, path: Path) -> None:

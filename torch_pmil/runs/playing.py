@@ -122,7 +122,7 @@ def load_player(folder: Path) -> Player:
         if not (folder / name).is_file():
             raise RunError(f"{folder} must be the folder of a finished run, but holds no {name}")
     task, policy = _task_of(folder), load_policy(folder / "policy.pt")
-    wanted = (*task.space.names, *task.demonstrations.target_names)
+    wanted = (*task.space.names, *task.target_names)
     found = (*policy.space.names, *policy.target_names)
     if found != wanted or len(task.actions.names) != len(policy.actions.names):
         raise PolicyFileError(

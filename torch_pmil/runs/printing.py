@@ -53,7 +53,7 @@ def print_trial(label: str, task: Task, trial: Trial) -> None:
     objective = task.objective
     loss = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
     known = ", ".join(success_rates(trial, task.promised))
-    transitions = round(trial.experience_s / task.demonstrations.time_step)
+    transitions = round(trial.experience_s / task.time_step)
     say(
         label,
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience ({transitions} "
@@ -123,7 +123,7 @@ def print_result(label: str, summary: dict) -> None:
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
         *([summary["unmet"]] if "unmet" in summary else []),
-        of_errors(summary),
+        *([of_errors(summary)] if "rms_error" in summary else []),
         of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
     ]

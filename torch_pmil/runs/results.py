@@ -46,7 +46,8 @@ def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, dict[str, obje
     try:
         return trainer.loss_module.predict_states(task.initial), {}
     except PredictionError as error:
-        leading, D = task.demonstrated.mean.shape[:-1], task.space.dim
+        start, _ = trainer.loss_module.begin(task.initial)
+        leading, D = (*start.batch_shape, task.horizon), task.space.dim
         unknown = torch.full((*leading, D, D), torch.nan, dtype=torch.float64)
         return Gaussian(unknown[..., 0], unknown), {"prediction_error": str(error)}
 
@@ -69,10 +70,6 @@ def _measured(
     """The results of the saved policy's rollouts, averaged over targets."""
     match_space, measured = task.space.match_space, trainer.evaluation_env is not None
     rates = {outcome.label: success_rate(outcome.errors, task.tolerance) for outcome in outcomes}
-    compared = [outcome.compared for outcome in outcomes]
-    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in compared])
-    observed = [(outcome.demonstrations, match_space(outcome.executed)) for outcome in compared]
-    errors = torch.stack([rms_error(*pair) for pair in observed])
     saturated = torch.stack(
         [saturated_fraction(outcome.rollouts["action"], task.actions) for outcome in outcomes]
     ).mean(0)
@@ -89,9 +86,23 @@ def _measured(
             "objective": task.objective.unit,
             "demonstrations": dict(zip(match_space.names, match_space.units, strict=True)),
         },
+        **_beside_demonstrations(task, outcomes),
+        "saturated": _by_name(task.actions.names, saturated),
+    }
+
+
+def _beside_demonstrations(task: Task, outcomes: list[Outcome]) -> dict[str, object]:
+    """How far rollouts, and demonstrations, are off the demonstrated mean, if there is one."""
+    match_space, compared = task.space.match_space, [outcome.compared for outcome in outcomes]
+    beside = [(each.demonstrations, each.executed) for each in compared]
+    pairs = [(shown, match_space(executed)) for shown, executed in beside if shown is not None]
+    if not pairs:
+        return {}
+    errors = torch.stack([rms_error(*pair) for pair in pairs])
+    spread = torch.stack([demonstration_spread(shown) for shown, _ in pairs])
+    return {
         "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
-        "saturated": _by_name(task.actions.names, saturated),
     }
 
 

@@ -1,4 +1,4 @@
-"""The first motion of a run and the sampling that it decides, in the folder of the run."""
+"""The first motion of a run and what it decides, in the folder of the run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sampled(
     before: Path | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> tuple[Task, TensorDictBase | None]:
-    """The task as a run samples it, and the first motion so seen; None if nothing is to be chosen.
+    """The task as a run sees it, and the first motion so seen; None if that decides nothing.
 
     Args:
         task: to be learned.
@@ -44,9 +44,11 @@ def sampled(
         RunStopped, RobotError: the operator ended the run, or the robot cannot be reached.
         ValueError: a file is damaged or of another task.
     """
-    if not task.samplings:
+    if not (task.samplings or task.unscaled):
         return task, None
     motion = _first_motion(task, seed, out, resume)
+    if task.unscaled:
+        return task.scaled_by(motion.states), motion.as_rollout(task)
     known = out if resume else before
     if known is not None and (known / SAMPLING).exists():
         choice = _read(task, known / SAMPLING)
@@ -69,7 +71,7 @@ def in_words(task: Task, choice: Choice) -> str:
         >>> in_words(task, Choice(Sampling(2), lost)).partition(" (")[0]
         'steps of 0.2 s: the simplest that predicts the first motion well'
     """
-    chosen = choice.sampling.described(task.demonstrations.time_step)
+    chosen = choice.sampling.described(task.time_step)
     if not choice.lost:
         return f"{chosen}: the first motion was too short to compare others"
     lost, gained = (

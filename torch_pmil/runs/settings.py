@@ -20,10 +20,10 @@ from torch_pmil.control.exploration import PDMovements
 from torch_pmil.files import FileError, LineError, read_text
 from torch_pmil.runs.run_folder import LOGGERS, MOST_TRIALS, check_logger, check_resume
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.target_costs import SaturatingCost
 from torch_pmil.seeds import SEEDS
 from torch_pmil.settings import Setting, Settings, setting
 from torch_pmil.tasks.method import EndingSettings, ModelSettings, PolicySettings, RandomMotion
-from torch_pmil.tasks.pilco import PilcoTask
 from torch_pmil.tasks.registry import EXPERIMENTS, is_own
 from torch_pmil.tasks.targets import TargetTask
 
@@ -96,7 +96,7 @@ class RunSettings(Settings):
 OF_RUN = RunSettings.declared()
 OF_TASK: dict[str, Setting] = {}  # of all tasks of the package
 GROUPS: list[type[Settings]] = [PolicySettings, ModelSettings, RandomMotion, EndingSettings]
-GROUPS += [TargetTask, PilcoTask, PDMovements, SearchSettings]
+GROUPS += [TargetTask, SaturatingCost, PDMovements, SearchSettings]
 for group in GROUPS:
     OF_TASK |= group.declared()
 SETTINGS = OF_RUN | OF_TASK

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.record.loggers import Logger
 
@@ -231,7 +232,7 @@ def _finish(
     """Save the best policy and the model, measure the policy anew, and write ``summary.json``."""
     best = trainer.best_policy()
     network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    meaning = task.space, trainer.control_period, task.demonstrations.target_names, task.actions
+    meaning = task.space, trainer.control_period, task.target_names, task.actions
     save_policy(own(out, "policy.pt"), network, *meaning)
     save_tensors(own(out, "dynamics.pt"), dynamics.state_dict())
     policy = StatePolicy(network, *meaning)
@@ -249,11 +250,12 @@ def _finish(
 
 def _identity(task: Task, seed: int) -> dict[str, object]:
     """The settings that a resumed run must share with the stopped one, as JSON has them."""
-    positions = task.demonstrations.positions.contiguous().numpy().tobytes()
+    shown = torch.zeros(0) if task.demonstrations is None else task.demonstrations.positions
+    content = shown.contiguous().numpy().tobytes()
     identity = {
         "experiment": task.name,
         "seed": seed,
-        "demonstrations": hashlib.sha256(positions).hexdigest(),
+        "demonstrations": hashlib.sha256(content).hexdigest(),
     }
     return json.loads(json.dumps({**identity, **task.settings, ROBOT: motion_of(task)}))
 

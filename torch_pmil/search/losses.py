@@ -1,4 +1,4 @@
-"""Losses of a policy: KL to the demonstrations (Eq. 20), or PILCO's saturating cost (Eq. 28)."""
+"""The loss of imitation: the KL between demonstrated and predicted trajectories (Eq. 20)."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from typing import Unpack
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_noise, check_positive, check_tensor, check_whole
+from torch_pmil.checks import check_noise
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.kl import gaussian_cross_entropy, gaussian_kl, mean_kl
-from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
 from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
 FAR = 50.0  # squared distance, for each entry, at which the cost of a sample is log 2
@@ -144,107 +143,3 @@ class TrajectoryKLLoss(TrajectoryLoss):
     def _demonstrated(self, horizon: int) -> Gaussian:
         mean, cov = self.demonstrated_mean, self.demonstrated_cov
         return Gaussian(mean[..., :horizon, :], cov[..., :horizon, :, :])
-
-
-class ExpectedSaturatingCost(TrajectoryLoss):
-    r"""PILCO's expected cost of not being at a target (Eq. 28), summed over the horizon: 0 to T.
-
-    .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\frac{d(z_t)^2}{2\sigma^2}\right)\right], \qquad
-              d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
-
-    The expectation is in closed form, over a Gaussian with the exact predicted moments of z in the
-    match space, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I. The
-    entry is ``"loss_cost"``.
-
-    Args:
-        actor_network, dynamics, space: as in :class:`TrajectoryLoss`.
-        target: the target, (M,), in the match space.
-        width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
-        horizon: T, number of steps after the start.
-        weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
-            ignore an entry.
-        options: ``reduction``, ``prediction`` and ``mean_prediction``, as there.
-
-    Raises:
-        ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or
-            the reduction is unknown.
-
-    Example:
-        >>> from tensordict import TensorDict
-        >>> from torch_pmil.control.state_space import joint_match
-        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
-        >>> dynamics = GPDynamics(2, 1)
-        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
-        >>> loss = ExpectedSaturatingCost(policy, dynamics, space, torch.ones(1), 0.5, horizon=5)
-        >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
-        >>> 0 < loss(TensorDict({"observation": start}))["loss_cost"].item() < 5
-        True
-    """
-
-    out_keys = ["loss_cost"]
-    label, unit = "cost", ""
-
-    def __init__(
-        self,
-        actor_network: RBFPolicy,
-        dynamics: GPDynamics,
-        space: StateSpace,
-        target: Tensor,
-        width: float,
-        horizon: int,
-        weight: Tensor | None = None,
-        **options: Unpack[LossOptions],
-    ) -> None:
-        super().__init__(actor_network, dynamics, space, **options)
-        M = space.match_space.dim
-        if target.shape != (M,):
-            raise ValueError(
-                f"target must have shape ({M},), the entries {space.match_space.names}, got "
-                f"{tuple(target.shape)}"
-            )
-        check_tensor("target", target, (M,))
-        check_positive("width", width)
-        check_whole("horizon", horizon, 1)
-        weight = torch.eye(M) if weight is None else weight
-        check_tensor("weight", weight, (M, M))
-        self._horizon = horizon
-        self.register_buffer("target", target.double())
-        self.register_buffer("to_widths", _root(weight.double()) / width)
-
-    @property
-    def horizon(self) -> int:
-        """T, number of steps after the start."""
-        return self._horizon
-
-    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Cost of each predicted marginal if its mean were the target, (*batch, horizon).
-
-        The cost itself is high far from the target, however sure the prediction is.
-        """
-        observed = self.predict(initial, horizon)
-        return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))
-
-    def _costs(self, observed: Gaussian) -> Tensor:
-        residual = Gaussian(observed.mean - self.target, observed.cov)
-        return expected_saturating_cost(residual.affine(self.to_widths))
-
-    def _comparison(self, horizon: int) -> Comparison:
-        match_space, to_widths = self.space.match_space, self.to_widths
-        target = (-self.target @ to_widths.mT).expand(horizon, -1)
-        weights = to_widths @ match_space.weights.to(to_widths)
-        noise = torch.zeros_like(to_widths)
-        return Comparison(match_space.augmentation, weights, target, noise, None)
-
-    def _mean_costs(self, observed: Tensor) -> Tensor:
-        return saturating_cost((observed - self.target) @ self.to_widths.mT)
-
-
-def _root(weight: Tensor) -> Tensor:
-    """Matrix R with R'R = W, for a W that may be singular."""
-    values, vectors = torch.linalg.eigh(weight)
-    if not torch.allclose(weight, weight.mT) or values[0] < -1e-12 * values[-1]:
-        raise ValueError(
-            f"weight must be symmetric and positive semi-definite, got {weight.tolist()}"
-        )
-    return values.clamp(min=0).sqrt()[:, None] * vectors.mT

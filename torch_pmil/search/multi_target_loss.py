@@ -99,6 +99,10 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         """KL of the model's mean by step, averaged over the targets, (*batch, horizon)."""
         return super().mean_per_step(initial, horizon).mean(-2)
 
+    def spread(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """That of the least sure target, (*batch, horizon): all predictions must be trusted."""
+        return super().spread(initial, horizon).amax(-2)
+
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Largest KL of all targets by step and observed entry, (*batch, horizon).
 

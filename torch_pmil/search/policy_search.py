@@ -39,7 +39,9 @@ class SearchSettings(Settings):
 
     The iterations at one horizon are repeated while the last steps are not trusted and each run
     lowers the loss by a tenth. The KL is trusted by its nats for each observed entry, so that one
-    entry means the same as four. ``skip_matched_steps`` suits the KL, which is small wherever the
+    entry means the same as four; or, with ``trust_what_is_sure``, by :meth:`TrajectoryLoss.spread`.
+    A match that is followed step by step leads further on some robots, a sure prediction is
+    followed sooner on others. ``skip_matched_steps`` suits the KL, which is small wherever the
     prediction matches. Under another loss a motion may be predicted well and still be wrong: then
     the horizon grows by ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
     """
@@ -63,9 +65,13 @@ class SearchSettings(Settings):
     )
     trust_threshold: float = setting(
         0.75,
-        "largest mean loss of the last steps at which the horizon still grows",
+        "largest doubt of the last steps at which the horizon still grows",
         least=0,
-        unit="nats per step and observed entry; PILCO: cost of the predicted spread",
+        unit="nats of a step and observed entry; of what is sure: variances of the model's data",
+    )
+    trust_what_is_sure: bool = setting(
+        False,
+        "whether a step is trusted where its prediction is sure, instead of where it matches",
     )
     skip_matched_steps: bool = setting(
         True, "whether the horizon jumps to the first step above the threshold"
@@ -156,14 +162,14 @@ def search_policy(
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = SearchRuns(loss, initial, settings, report, optimizer)
-    step_loss, more = step_loss_of(loss, initial), settings.more_steps(loss.horizon)
+    step_loss, more = step_loss_of(loss, initial, settings), settings.more_steps(loss.horizon)
     horizon = _first_untrusted(step_loss, settings)
     growing = bool((step_loss > settings.trust_threshold).any())
     if random and not settings.skip_matched_steps:
         horizon, growing = settings.first_steps(loss.horizon), True
     while growing:
         begun = search.stage(horizon)
-        step_loss = step_loss_of(loss, initial)
+        step_loss = step_loss_of(loss, initial, settings)
         growing = begun and horizon < loss.horizon and _trusted(step_loss[:horizon], settings, more)
         if growing:
             horizon = min(horizon + more, loss.horizon)
@@ -229,7 +235,7 @@ class SearchRuns:
         last = self.runs[-1]
         if last.stop_reason != "iteration limit" or last.loss >= WORTHWHILE * last.initial_loss:
             return False
-        step_loss = step_loss_of(self.loss, self.initial, horizon)
+        step_loss = step_loss_of(self.loss, self.initial, self.settings, horizon)
         return not self._trusted(step_loss)
 
     def _trusted(self, step_loss: Tensor) -> bool:
@@ -238,7 +244,7 @@ class SearchRuns:
     def result(self, horizon: int) -> SearchResult:
         """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
         per_step = evaluate_steps(self.loss.per_step, self.initial, self.loss.horizon)
-        step_loss = step_loss_of(self.loss, self.initial)
+        step_loss = step_loss_of(self.loss, self.initial, self.settings)
         return SearchResult(
             loss=per_step.sum().item(),
             per_step=per_step,
@@ -271,7 +277,7 @@ def refit_policy(
         new: a random policy of the same shape; changed in place.
         generator: source of the states, drawn from the prediction.
     """
-    step_loss = step_loss_of(loss, initial)
+    step_loss = step_loss_of(loss, initial, settings)
     trusted = min(_first_untrusted(step_loss, settings) - 1, int(step_loss.isfinite().sum()))
     states = loss.begin(initial)[0].sample(REFIT_SAMPLES, generator)[..., None, :]
     if trusted > 0:
@@ -296,9 +302,12 @@ def evaluate_steps(
         return torch.cat([known, known.new_full((horizon - len(known),), math.inf)])
 
 
-def step_loss_of(loss: TrajectoryLoss, initial: Gaussian, horizon: int | None = None) -> Tensor:
-    """Loss by which each step is trusted, as in :func:`evaluate_steps`, of all steps if None."""
-    return evaluate_steps(loss.step_loss_for_trust, initial, horizon or loss.horizon)
+def step_loss_of(
+    loss: TrajectoryLoss, initial: Gaussian, settings: SearchSettings, horizon: int | None = None
+) -> Tensor:
+    """By what each step is trusted, as in :func:`evaluate_steps`, of all steps if None."""
+    doubt = loss.spread if settings.trust_what_is_sure else loss.step_loss_for_trust
+    return evaluate_steps(doubt, initial, horizon or loss.horizon)
 
 
 def _first_untrusted(step_loss: Tensor, settings: SearchSettings) -> int:

@@ -176,6 +176,23 @@ class TrajectoryLoss(LossModule):
         """Loss by which a search trusts each predicted marginal, the cost; (*batch, horizon)."""
         return self.per_step(initial, horizon)
 
+    def spread(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How unsure each predicted marginal is, (*batch, horizon).
+
+        It is the predicted variance in that of the model's data, both in the match space, in the
+        mean over its entries: a number without unit, whatever the task measures.
+        """
+        states = self.predict_states(initial, horizon)
+        variance = self.space.match_space.moments(states).cov.diagonal(dim1=-2, dim2=-1)
+        return (variance / self._variance_of_data).mean(-1)
+
+    @property
+    def _variance_of_data(self) -> Tensor:
+        """Variances (M,) of the states of the model's data, observed in the match space."""
+        features = self.dynamics.train_inputs[:, : len(self.space.feature_names)]
+        variance = self.space.observe(self.space.states(features)).var(0)
+        return variance.clamp(min=torch.finfo(variance.dtype).tiny)
+
     def sample_costs(self, states: Tensor) -> Tensor:
         r"""Cost of each state of sampled trajectories (N, \*batch, T, D): (N, \*batch, T)."""
         return self._mean_costs(self.space.observe(states))

@@ -8,6 +8,7 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.tasks.double_pendulum import double_pendulum
 from torch_pmil.tasks.fitting import actions_of
+from torch_pmil.tasks.method import SURE
 from torch_pmil.tasks.task import Task
 
 # a tenth of the motors': of the same weight, the torque of a servo at kp = 10 N·m/rad whose
@@ -24,7 +25,7 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     """
     task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
     return replace(
-        task.with_settings(initial_weight_std=WEIGHT_STD),
+        task.with_settings(initial_weight_std=WEIGHT_STD, search=SURE),
         name="double_pendulum_servo",
         make_env=DoublePendulumServoEnv,
         actions=actions_of(env),

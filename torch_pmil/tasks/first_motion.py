@@ -58,7 +58,7 @@ class FirstMotion:
 
 
 def explore(task: Task, seed: int) -> FirstMotion:
-    """Move the robot of a task by random actions, each held for the longest of its steps.
+    """Move the robot of a task by random actions, each held for the longest of its steps, if any.
 
     Such a motion can be seen at every step that divides the longest one.
 
@@ -66,7 +66,7 @@ def explore(task: Task, seed: int) -> FirstMotion:
         RunStopped, RolloutDiscarded, RobotError: raised by the robot's reset.
     """
     exploration = task.exploration
-    assert isinstance(exploration, RandomActions)  # as a task with samplings has
+    assert isinstance(exploration, RandomActions)  # as a task has for which the motion decides
     held = replace(exploration, hold=_longest(task))
     motion, env = held.motion(generator_of(Stream.MOTION, seed)), task.robot(seed)
     if task.state_box is not None:
@@ -129,7 +129,7 @@ def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
     lost = [_loss(resampled(task, step), motion, longest // step.held) for step in steps]
     found, least = list(zip(steps, lost, strict=True)), min(lost)
     alike = [step.held for step, nats in found if nats <= ALIKE * least + SMALL]
-    period = task.demonstrations.time_step
+    period = task.time_step
     by_step = {step.described(period): nats for step, nats in found}
     return alike[-1 if least <= GOOD else 0], by_step
 
@@ -145,7 +145,7 @@ def _evidence(task: Task, motion: FirstMotion, held: int) -> tuple[PastEvidence,
     )
     seen = resampled(task, Sampling(every))
     rollout = motion.as_rollout(seen)[None, :MOST]
-    period, targets = seen.demonstrations.time_step, seen.make_dynamics().targets
+    period, targets = seen.time_step, seen.make_dynamics().targets
     of_motion = states_of(rollout), rollout["action"], seen.space
     return evidence_of_the_past(*of_motion, period, targets), every
 
@@ -158,4 +158,4 @@ def _loss(task: Task, motion: FirstMotion, every: int) -> float:
 
 
 def _longest(task: Task) -> int:
-    return max(each.held for each in task.samplings)
+    return max((each.held for each in task.samplings), default=1)

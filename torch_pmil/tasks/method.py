@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -128,7 +128,16 @@ class Method(Settings):
     optimizer: MakeOptimizer = torch.optim.LBFGS
 
 
-def with_least_widths(widths: Sequence[float], num_centres: int = 100) -> Method:
+MATCHED = SearchSettings()
+# what is sure is followed, and where nothing is sure to the end, samples lead: the robots of the
+# package learn sooner with one or both, except those that need a match followed step by step
+SURE = SearchSettings(trust_threshold=0.15, trust_what_is_sure=True)
+ON_SAMPLES = replace(SURE, sample_steps=500)
+
+
+def with_least_widths(
+    widths: Sequence[float], num_centres: int = 100, search: SearchSettings = MATCHED
+) -> Method:
     """A method whose new policies have so many basis functions of at least these widths."""
     least = torch.tensor(widths, dtype=torch.float64)
-    return Method(PolicySettings(num_centres=num_centres, least_widths=least))
+    return Method(PolicySettings(num_centres=num_centres, least_widths=least), search=search)

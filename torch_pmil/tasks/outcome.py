@@ -18,8 +18,8 @@ class Outcome:
 
     Args:
         label: names the target; "" where there is only one.
-        demonstrations: of it.
-        demonstrated: their marginals at t = 1..T, mean (T, M).
+        demonstrations: of it; None if there are none.
+        demonstrated: their marginals at t = 1..T, mean (T, M), or None.
         predicted: p(x_1..T), mean (T, D).
         rollouts: (N, T), as the environment gives them, shorter if one was cut short.
         errors: of the rollouts, infinite where one was cut short, (N,).
@@ -27,8 +27,8 @@ class Outcome:
     """
 
     label: str
-    demonstrations: Demonstrations
-    demonstrated: Gaussian
+    demonstrations: Demonstrations | None
+    demonstrated: Gaussian | None
     predicted: Gaussian
     rollouts: TensorDictBase
     errors: Tensor
@@ -38,13 +38,13 @@ class Outcome:
     def compared(self) -> Outcome:
         """The outcome up to where its rollouts end: all of it, unless one was cut short."""
         steps = self.rollouts.shape[-1]
-        positions = self.demonstrations.positions[:, : steps + 1]
-        return replace(
-            self,
-            demonstrations=replace(self.demonstrations, positions=positions),
-            demonstrated=self.demonstrated[:steps],
-            predicted=self.predicted[:steps],
+        ended = replace(self, predicted=self.predicted[:steps])
+        if self.demonstrations is None or self.demonstrated is None:
+            return ended
+        shown = replace(
+            self.demonstrations, positions=self.demonstrations.positions[:, : steps + 1]
         )
+        return replace(ended, demonstrations=shown, demonstrated=self.demonstrated[:steps])
 
     @property
     def executed(self) -> Tensor:

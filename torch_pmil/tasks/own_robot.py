@@ -122,7 +122,7 @@ def own_robot(
         ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
     """
     said = {"state": state, "units": units, "angles": angles, "match": match}
-    check_said(own_robot, **said, **settings)
+    check_said(own_robot, Task, **said, **settings)
     control_period = seconds(control_period)
     if isinstance(env, MujocoRobot):
         state, units, angles = state or env.names, units or env.units, angles or env.turning
@@ -135,12 +135,7 @@ def own_robot(
         match = site_match(env, match, orientation=len(recorded.names) > PLACE)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
-    robot = _robot(env, control_period, observed, steps_per_action)
-    if robot.dim != len(space.names):
-        raise ValueError(
-            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
-            f"{', '.join(observed)}"
-        )
+    robot = robot_of(env, control_period, observed, steps_per_action, len(space.names))
     settings.setdefault("evaluated", not robot.physical)
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
@@ -222,11 +217,25 @@ def _task(
     return task.with_settings(**chosen)
 
 
-def _robot(env: Any, control_period: float, observed: Sequence[str], steps: int | None) -> Robot:
-    if not isinstance(env, MujocoRobot):
-        return OneRobot(env, control_period, _pairs(observed), steps)
-    check_period(env.control_period, control_period, steps, ROUNDED)
-    return env
+def robot_of(
+    env: Any, control_period: float, observed: Sequence[str], steps: int | None, dim: int
+) -> Robot:
+    """The robot of an environment whose entries are so named, with a state of ``dim`` entries.
+
+    Raises:
+        TypeError, ValueError: as :class:`~torch_pmil.envs.one_robot.OneRobot`, or the observation
+            has another number of entries.
+    """
+    if isinstance(env, MujocoRobot):
+        check_period(env.control_period, control_period, steps, ROUNDED)
+        return env
+    robot = OneRobot(env, control_period, _pairs(observed), steps)
+    if robot.dim != dim:
+        raise ValueError(
+            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
+            f"{', '.join(observed)}"
+        )
+    return robot
 
 
 def _space(
@@ -237,12 +246,7 @@ def _space(
     shown: tuple[str, ...],
 ) -> StateSpace:
     """The state space of an observation, in which a pair of cosine and sine is an angle."""
-    names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
-    turning = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
-    if unknown := sorted(turning - set(names)):
-        raise ValueError(
-            f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
-        )
+    names, indices = observed_entries(observed, angles)
     known = tuple(units) or ("",) * len(names)
     if match is None:
         if unknown := [name for name in shown if name not in names]:
@@ -252,7 +256,20 @@ def _space(
                 "demonstrations show of them, or choose columns by load_recordings(PATH, keys=...)"
             )
         match = MatchSpace.of_entries(shown, names, [known[names.index(name)] for name in shown])
-    return StateSpace(names, known, tuple(i for i, n in enumerate(names) if n in turning), match)
+    return StateSpace(names, known, indices, match)
+
+
+def observed_entries(
+    observed: Sequence[str], angles: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Names of the state's entries, of which a cosine and a sine are one, and which are angles."""
+    names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
+    turned = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
+    if unknown := sorted(turned - set(names)):
+        raise ValueError(
+            f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
+        )
+    return names, tuple(index for index, name in enumerate(names) if name in turned)
 
 
 def _pairs(observed: Sequence[str]) -> list[CosSin]:

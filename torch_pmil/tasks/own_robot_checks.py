@@ -22,6 +22,7 @@ from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.task import Task
 
 FIXED = {"make_env", "space", "demonstrations", "history"}  # fields that follow from the arguments
+OF_TEACHERS = {"noise_std", "demonstrated_states"}  # what a task with a cost has no use for
 KINDS: dict[str, type] = {
     "initial": Gaussian,
     "actions": ActionSpace,
@@ -35,6 +36,7 @@ KINDS: dict[str, type] = {
 
 def check_said(
     function: Callable[..., Any],
+    kind: type[Task],
     *,
     state: object,
     units: object,
@@ -42,7 +44,7 @@ def check_said(
     match: object,
     **settings: object,
 ) -> None:
-    """Check the arguments of :func:`~torch_pmil.tasks.own_robot.own_robot`, which is ``function``.
+    """Check the arguments of a function that makes the task, of a kind, of one's own robot.
 
     Raises:
         TypeError, ValueError: one is of another kind, or a setting is unknown.
@@ -57,11 +59,11 @@ def check_said(
         raise TypeError(
             f"match must be a MatchSpace or the name of a site, got {type(match).__name__}"
         )
-    _check_known(function, settings)
-    for name, kind in KINDS.items():
-        if settings.get(name) is not None and not isinstance(settings[name], kind):
+    _check_known(function, kind, settings)
+    for name, wanted in KINDS.items():
+        if settings.get(name) is not None and not isinstance(settings[name], wanted):
             got = type(settings[name]).__name__
-            raise TypeError(f"{name} must be of type {kind.__name__}, got {got}")
+            raise TypeError(f"{name} must be of type {wanted.__name__}, got {got}")
 
 
 def seconds(value: object) -> float:
@@ -85,13 +87,16 @@ def seconds(value: object) -> float:
     return period
 
 
-def _check_known(function: Callable[..., Any], settings: Mapping[str, object]) -> None:
+def _check_known(
+    function: Callable[..., Any], kind: type[Task], settings: Mapping[str, object]
+) -> None:
     """Raise ValueError unless all names are fields of a task or settings of its method."""
     method = settings.get("method")
     chosen = method if isinstance(method, Settings) else Method()
-    of_task = {entry.name for entry in fields(Task)} - FIXED
-    known = {*of_task, *chosen.adjustable, *chosen.groups()}
     own = [name for name in inspect.signature(function).parameters if name != "settings"]
+    fixed = FIXED if kind is Task else FIXED | OF_TEACHERS
+    of_task = {entry.name for entry in fields(kind)} - fixed - set(own)
+    known = {*of_task, *chosen.adjustable, *chosen.groups()}
     for name in settings:
         if name not in known:
             more = f"there are {', '.join(own)}, and more"

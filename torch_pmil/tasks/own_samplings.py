@@ -50,7 +50,7 @@ def _steps(task: Task) -> list[int]:
 
 def _periods(task: Task, step: Any) -> int:
     """A step in control periods."""
-    period = task.demonstrations.time_step
+    period = task.time_step
     number = isinstance(step, int | float) and not isinstance(step, bool)
     periods = whole_multiple(step, period) if number else None
     if periods is None:

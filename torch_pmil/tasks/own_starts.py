@@ -54,6 +54,12 @@ def starts_of(
     return without_turns(states[:, None], beside, space.angles)[:, 0]
 
 
+def spread_of_starts(starts: Tensor) -> Tensor:
+    """Standard deviations (D,) of starts (S, D), positive where an entry is always the same."""
+    std = starts.std(0)
+    return torch.where(std > 0, std, UNMOVED)
+
+
 def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
     """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 

@@ -76,10 +76,11 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
     states = states[: len(again)]
     if len(states) <= WINDOW + 1:
         return
-    for doubt in check_motion(*_ranges(task, states)):
-        warnings.warn(doubt, RuntimeWarning, stacklevel=4)
+    if task.demonstrations is not None:
+        for doubt in check_motion(*_ranges(task, states)):
+            warnings.warn(doubt, RuntimeWarning, stacklevel=4)
     hidden = task.history.hidden if task.history else ()
-    check_velocities(states, task.space, task.demonstrations.time_step, hidden)
+    check_velocities(states, task.space, task.time_step, hidden)
 
 
 def _do_nothing(task: Task, actions: Tensor, states: Tensor) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -23,7 +22,7 @@ from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TargetTask(Task):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
@@ -39,8 +38,6 @@ class TargetTask(Task):
         DemonstrationError: the demonstrations have no targets, or one alone.
     """
 
-    objective: ClassVar[type[TrajectoryLoss]] = MultiTargetKLLoss
-
     target_scale: float = setting(
         2.5,
         "width of a new policy's basis functions in the entries of the target",
@@ -54,6 +51,11 @@ class TargetTask(Task):
             raise DemonstrationError(
                 f"demonstrations must be of two targets at least, got {self.targets.tolist()}"
             )
+
+    @property
+    def objective(self) -> type[TrajectoryLoss]:
+        """Class of the loss."""
+        return MultiTargetKLLoss
 
     @property
     def promised(self) -> None:

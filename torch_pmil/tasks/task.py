@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar
+from typing import Self
 
 import torch
 from tensordict import TensorDictBase
@@ -47,7 +47,7 @@ HELD_STARTS = 200  # in which a new policy holds the robot
 MEASURED_STARTS = 20  # fresh starts of a measurement
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Task(Settings):
     """What is learned, and the method by which it is learned.
 
@@ -55,7 +55,7 @@ class Task(Settings):
         name: names the folder of its runs.
         make_env: environment for given ``num_envs`` (None or N), ``from_pixels`` and ``seed``.
         space: the robot's state space; the demonstrations are in its match space.
-        demonstrations: N demonstrations.
+        demonstrations: N demonstrations; a :class:`CostTask` has None, and no demonstrated states.
         noise_std: observation noise, in the units of the match space: one number, or one for each
             entry, (M,).
         initial: p(x_0).
@@ -92,14 +92,10 @@ class Task(Settings):
         samplings: among which a run chooses by its first motion; the first is that of a robot for
             which nothing is chosen. Empty if the task is sampled already.
 
-    ``objective`` is the class of the loss that :meth:`make_loss` returns.
-
     Raises:
         DemonstrationError: the demonstrations are too short.
         TypeError, ValueError: a setting is of another kind, shape or range.
     """
-
-    objective: ClassVar[type[TrajectoryLoss]] = TrajectoryKLLoss
 
     name: str
     make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
@@ -155,10 +151,34 @@ class Task(Settings):
             return None
         return Promise(self.method.ending.promise, error, self.tolerance)
 
+    def scaled_by(self, states: Tensor) -> Self:
+        """The same task for a robot whose first motion is along these states, (T + 1, D)."""
+        return self
+
+    @property
+    def objective(self) -> type[TrajectoryLoss]:
+        """Class of the loss."""
+        return TrajectoryKLLoss
+
     @property
     def horizon(self) -> int:
         """T, number of control steps."""
         return self.demonstrations.positions.shape[1] - 1
+
+    @property
+    def unscaled(self) -> bool:
+        """Whether the first motion must show how far the robot goes."""
+        return False
+
+    @property
+    def time_step(self) -> float:
+        """Control period, s."""
+        return self.demonstrations.time_step
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the entries of a target; none of a task without targets."""
+        return () if self.demonstrations is None else self.demonstrations.target_names
 
     @property
     def demonstrated(self) -> Gaussian:
@@ -254,11 +274,13 @@ class Task(Settings):
         self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
     ) -> list[Outcome]:
         """The outcome for each target, of batched rollouts of :meth:`robots` or :meth:`robot`."""
-        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
+        shown = self.demonstrations
+        marginals = None if shown is None else self.demonstrated
+        return [Outcome("", shown, marginals, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        actions, time_step = len(self.actions.names), self.demonstrations.time_step
+        actions, time_step = len(self.actions.names), self.time_step
         inputs, model = len(self.space.feature_names) + actions, self.method.model
         tied, past, names = model.tied_lengthscales, self.history, self.space.names
         if past is not None:
@@ -334,8 +356,9 @@ def check_task(task: Task) -> None:
             raise TypeError(f"{name} must be a function, got {type(function).__name__}")
     if outside := task.state_box and task.state_box.guard(task.initial.mean):
         raise ValueError(f"box must hold the mean of initial, but {outside}")
-    check_noise(task.noise_std, task.space.match_space.names)
-    check_tensor("demonstrated_states", task.demonstrated_states, ("S", D))
+    check_noise(task.noise_std, task.space.match_space.names, zero=task.demonstrations is None)
+    if task.demonstrations is not None:
+        check_tensor("demonstrated_states", task.demonstrated_states, ("S", D))
     if task.held_states is not None:
         check_tensor("held_states", task.held_states, ("S", D))
     if task.initial.dim != D:
@@ -356,8 +379,9 @@ def check_task(task: Task) -> None:
     if method.exploration.explore_demonstrated:
         check_demonstrated_way(task.demonstrations, task.holding_actions, task.demonstrated_states)
     if task.horizon < FEWEST_TRANSITIONS:
+        what = "horizon" if task.demonstrations is None else "demonstrations"
         raise DemonstrationError(
-            f"demonstrations must have {FEWEST_TRANSITIONS + 1} samples at least, since the robot "
+            f"{what} must have {FEWEST_TRANSITIONS + 1} samples at least, since the robot "
             f"explores for as long and its model needs {FEWEST_TRANSITIONS} transitions, got "
             f"{task.horizon + 1}"
         )

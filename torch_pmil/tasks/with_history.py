@@ -69,7 +69,7 @@ def with_history(
     history = History(
         names,
         task.actions.names,
-        task.demonstrations.time_step,
+        task.time_step,
         hidden=tuple(names[rate] for rate in velocities) if positions_only else (),
         past=tuple(name for entry, name in enumerate(names) if entry not in measured),
         past_entries=past_entries,
@@ -159,8 +159,7 @@ def _space(task: Task, history: History) -> StateSpace:
 
 def _demonstrated(task: Task, history: History, resting: Resting) -> Tensor:
     """Demonstrated states with what came before them, by the actions that hold the robot there."""
-    count = len(task.demonstrations.positions)
-    readings = task.demonstrated_states.unflatten(0, (count, -1))
+    readings = task.demonstrated_states.unflatten(0, (len(task.demonstrations.positions), -1))
     actions = resting(readings)
     return history.along(readings, actions[:, :-1], actions[:, 0]).flatten(0, 1)
 

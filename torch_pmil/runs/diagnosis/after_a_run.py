@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from tensordict import TensorDictBase
@@ -27,7 +28,7 @@ from torch_pmil.runs.diagnosis.causes import (
     unexplained,
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import FEW
-from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, first_mismatch
+from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, MATCHED, first_mismatch
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -73,8 +74,8 @@ def likely_reasons(
     found = group(check(task))
     evidence = evidence_in(task, loss.dynamics.targets, recorded)
     past = check_past(evidence) if evidence else None
-    search = _Search(task, loss, outcomes, loss.step_loss_for_trust(task.initial))
-    step = first_mismatch(search.step_loss, task.method.search.trust_threshold)
+    search = _Search(task, loss, outcomes)
+    step = first_mismatch(search.step_loss, search.most)
     led = _of_the_model(task, loss.dynamics, outcome, step or task.horizon)
     beyond = [] if led else _of_the_model(task, loss.dynamics, outcome, task.horizon)
     reasons = [
@@ -112,7 +113,7 @@ def evidence_in(
     latest = recorded[-max(1, RECORDED // (steps * len(recorded[-1]))) :]
     states = torch.cat([states_of(each)[:, : steps + 1] for each in latest])
     actions = torch.cat([each["action"][:, :steps] for each in latest])
-    period = task.demonstrations.time_step
+    period = task.time_step
     return evidence_of_the_past(states, actions, task.space, period, targets, remembered)
 
 
@@ -135,19 +136,18 @@ def _of_the_robot(task: Task, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
     outcome, torques = outcome.compared, needed_torques(task)
     needed = None if torques is None else torques.abs().amax((0, 1))
+    saturated = check_saturation(outcome.rollouts["action"], task.actions, needed)
+    if outcome.demonstrations is None:
+        return _found(outcome, saturated)
     moved, shown = task.space.observe(outcome.executed), outcome.demonstrations.positions
     noise_std = torch.as_tensor(task.noise_std, dtype=torch.float64)
-    return _found(
-        outcome,
-        check_saturation(outcome.rollouts["action"], task.actions, needed),
-        check_motion(moved, shown, noise_std, task.adjustable),
-    )
+    return _found(outcome, saturated, check_motion(moved, shown, noise_std, task.adjustable))
 
 
 def _of_the_model(task: Task, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
     """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
     outcome = outcome.compared
-    actions, time_step = outcome.rollouts["action"], outcome.demonstrations.time_step
+    actions, time_step = outcome.rollouts["action"], task.time_step
     residuals = standardised_residuals(dynamics, task.space, outcome.executed, actions)
     residuals, known = residuals[:, :steps], known_steps(task, dynamics, outcome)[:, :steps]
     predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
@@ -168,30 +168,40 @@ def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Losses of the steps t = 1..T under the newest model, (T,), and what they come from."""
+    """What is left to a search by the newest model."""
 
     task: Task
     loss: TrajectoryLoss
     outcomes: Sequence[Outcome]
-    step_loss: Tensor
+
+    @cached_property
+    def step_loss(self) -> Tensor:
+        """By step, (T,): the KL of an entry, or under a cost how unsure the prediction is."""
+        return self.loss.step_loss_for_trust(self.task.initial)
+
+    @property
+    def most(self) -> float:
+        """Most of it that is right."""
+        search = self.task.method.search
+        return MATCHED if search.trust_what_is_sure else search.trust_threshold
 
     @property
     def named(self) -> tuple[str, str]:
-        """Name and unit of the losses."""
+        """Name and unit of it."""
         if isinstance(self.loss, TrajectoryKLLoss):
-            return self.loss.label, self.loss.unit
-        return "cost of the predicted spread", "of 1"
+            return f"{self.loss.label} of an entry", self.loss.unit
+        return "predicted variance", "of that of the data"
 
     def stuck(self, step: int, horizons: Sequence[int]) -> Reason:
         """Why the search is stuck at a step."""
-        of_task = self.task.demonstrations.time_step, self.task.adjustable
+        of_task = self.task.time_step, self.task.adjustable
         mismatch = self.mismatch(step)
         return check_search(self.step_loss, step, *self.named, mismatch, horizons, *of_task)
 
     def largest(self) -> str:
         """The largest loss of a step, in words."""
         step, (name, unit) = int(self.step_loss.argmax()) + 1, self.named
-        time = step * self.task.demonstrations.time_step
+        time = step * self.task.time_step
         return (
             f"the {name} of a step is at most {self.step_loss[step - 1]:.3g} {unit}, at "
             f"{time:.2f} s, {self.mismatch(step)}"
@@ -208,6 +218,7 @@ class _Search:
                 match_space.moments(outcome.predicted[step - 1]).add_noise(noise),
             )
             for outcome in self.outcomes
+            if outcome.demonstrated is not None
         ]
         losses = [gaussian_kl(*pair).item() for pair in pairs]
         worst = losses.index(max(losses))

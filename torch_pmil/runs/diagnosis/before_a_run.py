@@ -43,6 +43,8 @@ def check(task: Task) -> list[Finding]:
         []
     """
     demonstrations = task.demonstrations
+    if demonstrations is None:
+        return []
     noise_std = torch.as_tensor(task.noise_std, dtype=torch.float64)
     start = task.space.match_space.moments(task.initial)
     sets: Sequence[Demonstrations]
@@ -55,7 +57,7 @@ def check(task: Task) -> list[Finding]:
             for target in targets
         ]
     return [
-        *_check_robot(task, noise_std),
+        *_check_robot(task, demonstrations, noise_std),
         *check_start(demonstrations, start, noise_std),
         *check_spread(sets, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
@@ -67,13 +69,13 @@ def check(task: Task) -> list[Finding]:
     ]
 
 
-def _check_robot(task: Task, noise_std: torch.Tensor) -> list[Finding]:
+def _check_robot(
+    task: Task, demonstrations: Demonstrations, noise_std: torch.Tensor
+) -> list[Finding]:
     """Findings on motions that the robot itself cannot do."""
-    demonstrations, time_step = task.demonstrations, task.demonstrations.time_step
-    N, samples, _ = demonstrations.positions.shape
-    if len(task.demonstrated_states) != N * samples:
+    time_step, states = task.time_step, _motions(task)
+    if states is None:
         return []
-    states = task.demonstrated_states.reshape(N, samples, -1)
     env, shown = task.first_robot(seed=0), task.space.observe(states)
     findings = check_reach(demonstrations, shown, noise_std)
     findings = findings or check_body(demonstrations, shown, noise_std)
@@ -97,11 +99,10 @@ def needed_torques(task: Task) -> torch.Tensor | None:
     None if the states were not recovered sample by sample, or the robot does not know its inverse
     dynamics.
     """
-    N, samples, _ = task.demonstrations.positions.shape
-    if len(task.demonstrated_states) != N * samples or samples < 3:
+    motions = _motions(task)
+    if motions is None or motions.shape[1] < 3:
         return None
-    env = task.first_robot(seed=0)
-    motions = task.demonstrated_states.reshape(N, samples, -1)
+    env, (N, samples, _) = task.first_robot(seed=0), motions.shape
     torques = torch.zeros(N, samples - 1, len(task.actions.names), dtype=torch.float64)
     for number, first, last in _stretches(task):
         begin = max(first - MARGIN, 0)
@@ -110,6 +111,15 @@ def needed_torques(task: Task) -> torch.Tensor | None:
             return None
         torques[number, first:last] = found[first - begin : last - begin]
     return torques
+
+
+def _motions(task: Task) -> torch.Tensor | None:
+    """Demonstrated states (N, T + 1, D), if they were recovered sample by sample."""
+    if task.demonstrations is None:
+        return None
+    N, samples, _ = task.demonstrations.positions.shape
+    whole = len(task.demonstrated_states) == N * samples
+    return task.demonstrated_states.reshape(N, samples, -1) if whole else None
 
 
 def _stretches(task: Task) -> list[tuple[int, int, int]]:

@@ -257,8 +257,12 @@ def check_search(
             "search stuck",
             f"{LATEST} trials led them no further, so try another seed, more iterations "
             f"({scaled(settings, 'search.stage_iterations', 2)}), a larger threshold "
-            f"({scaled(settings, 'search.trust_threshold', 2)}), or more tolerance "
-            f"({scaled(settings, 'noise_std', 2)})",
+            f"({scaled(settings, 'search.trust_threshold', 2)}), or "
+            + (
+                f"more tolerance ({scaled(settings, 'noise_std', 2)})"
+                if "noise_std" in settings
+                else f"a wider target ({scaled(settings, 'cost.width', 2)})"
+            ),
         )
     return Reason(
         cause,
@@ -299,13 +303,14 @@ def unexplained(
 
     ``largest`` is what is left of the objective, in words.
     """
+    strict = "noise_std" if "noise_std" in settings else "cost.width"
+    stricter = scaled(settings, strict, 0.5)
     return Reason(
         "success criterion",
         "the robot does what was predicted, and the prediction is good enough for the search, yet "
         f"{failed} of {count} rollouts have an error above {tolerance:.3g}: the criterion is "
-        f"stricter than the objective. {largest}; {scaled(settings, 'noise_std', 0.5)}, or more "
-        f"trials with confirmations={settings['confirmations'] + 2}, bring the robot nearer to the "
-        "demonstrations",
+        f"stricter than the objective. {largest}; {stricter}, or more trials with "
+        f"confirmations={settings['confirmations'] + 2}, bring the robot nearer to its goal",
     )
 
 

@@ -19,7 +19,8 @@ COVERED = 0.75  # share of one-step errors within two standard deviations; learn
 FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
-MISMATCH = 1.5  # largest loss of a step over the search's trust threshold; learned: up to 1.31
+MATCHED = 0.75  # nats of an entry, up to which a step of the prediction matches
+MISMATCH = 1.5  # largest loss of a step over what is right; learned: up to 1.31
 NEAR_LIMIT = 0.95  # of half the range of an action, from its middle
 SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
 MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
@@ -61,19 +62,19 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
     return int(left[0]) + 1, int(inside[left[0]].argmin())
 
 
-def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
-    """First step t whose loss is above the search's trust threshold, if some step is far above.
+def first_mismatch(step_loss: Tensor, most: float) -> int | None:
+    """First step t whose loss is above what is right, if some step is far above.
 
-    Losses of the steps t = 1..T are (T,), in the unit of the threshold.
+    Losses of the steps t = 1..T are (T,), in the unit of ``most``.
 
     Example:
         >>> import torch
-        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trust_threshold=3.0)
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), most=3.0)
         3
     """
-    if step_loss.amax() <= MISMATCH * trust_threshold:
+    if step_loss.amax() <= MISMATCH * most:
         return None
-    return int((step_loss > trust_threshold).nonzero()[0]) + 1
+    return int((step_loss > most).nonzero()[0]) + 1
 
 
 def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:

@@ -23,6 +23,7 @@ DERIVED = {  # units of what a summary's settings hold besides the settings of a
     "exploration.random_action": SETTINGS["random_action"].unit,
     "exploration.around": "the units of the actions",
     "targets": "the unit of the entry",
+    "centre_std": "the unit of the entry",
 }
 
 
@@ -83,7 +84,11 @@ def unit_of(setting: str, summary: Mapping) -> str:
     """
     units = summary.get("units", {})
     if setting == "search.trust_threshold":
-        return f"{units.get('objective') or 'objective'} a step and entry"
+        search = summary.get("settings", {}).get("search", {})
+        matched = units.get("objective") and not search.get("trust_what_is_sure")
+        return f"{units['objective']} a step and entry" if matched else "variances of the data"
+    if setting.startswith("cost.target."):
+        return units.get("demonstrations", {}).get(setting.removeprefix("cost.target."), "")
     if setting == "noise_std":
         return ", ".join(dict.fromkeys(units.get("demonstrations", {}).values()))
     return SETTINGS[setting].unit if setting in SETTINGS else DERIVED.get(setting, "")

@@ -1,0 +1,161 @@
+"""Losses by the distance from a target: PILCO's saturating cost (Eq. 28), and the quadratic one."""
+
+from __future__ import annotations
+
+from typing import Unpack
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_positive, check_tensor, check_whole
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.compiled.plans import Comparison
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
+from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
+
+
+class TargetLoss(TrajectoryLoss):
+    r"""Base class of expected costs of the distance from a target, summed over the horizon.
+
+    .. math:: r = R(z - z_{\mathrm{target}}), \qquad R^\top R = W / \sigma^2
+
+    A subclass gives the cost of r, which counts the distance in widths. The expectation is over a
+    Gaussian with the exact predicted moments of z in the match space, without observation noise.
+    The entry is ``"loss_cost"``.
+
+    Args:
+        actor_network, dynamics, space: as in :class:`TrajectoryLoss`.
+        target: the target, (M,), in the match space.
+        width: :math:`\sigma`, in the unit of the distance.
+        horizon: T, number of steps after the start.
+        weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
+            ignore an entry.
+        options: ``reduction``, ``prediction`` and ``mean_prediction``, as there.
+
+    Raises:
+        ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or
+            the reduction is unknown.
+    """
+
+    out_keys = ["loss_cost"]
+    label, unit = "cost", ""
+
+    def __init__(
+        self,
+        actor_network: RBFPolicy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        target: Tensor,
+        width: float,
+        horizon: int,
+        weight: Tensor | None = None,
+        **options: Unpack[LossOptions],
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, **options)
+        M = space.match_space.dim
+        if target.shape != (M,):
+            raise ValueError(
+                f"target must have shape ({M},), the entries {space.match_space.names}, got "
+                f"{tuple(target.shape)}"
+            )
+        check_tensor("target", target, (M,))
+        check_positive("width", width)
+        check_whole("horizon", horizon, 1)
+        weight = torch.eye(M) if weight is None else weight
+        check_tensor("weight", weight, (M, M))
+        self._horizon = horizon
+        self.register_buffer("target", target.double())
+        self.register_buffer("to_widths", _root(weight.double()) / width)
+
+    @property
+    def horizon(self) -> int:
+        """T, number of steps after the start."""
+        return self._horizon
+
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon).
+
+        The cost itself is high far from the target, however sure the prediction is.
+        """
+        return self.spread(initial, horizon)
+
+    def _residual(self, observed: Gaussian) -> Gaussian:
+        """Beliefs over r."""
+        return Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths)
+
+    def _residual_of(self, observed: Tensor) -> Tensor:
+        return (observed - self.target) @ self.to_widths.mT
+
+
+class ExpectedSaturatingCost(TargetLoss):
+    r"""PILCO's expected cost of not being at a target (Eq. 28), summed over the horizon: 0 to T.
+
+    .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\tfrac12 \|r_t\|^2\right)\right]
+
+    Eq. 28 itself has :math:`\sigma` = 2 and W = I. Arguments and errors are those of
+    :class:`TargetLoss`.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics = GPDynamics(2, 1)
+        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
+        >>> loss = ExpectedSaturatingCost(policy, dynamics, space, torch.ones(1), 0.5, horizon=5)
+        >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
+        >>> 0 < loss(TensorDict({"observation": start}))["loss_cost"].item() < 5
+        True
+    """
+
+    def _costs(self, observed: Gaussian) -> Tensor:
+        return expected_saturating_cost(self._residual(observed))
+
+    def _mean_costs(self, observed: Tensor) -> Tensor:
+        return saturating_cost(self._residual_of(observed))
+
+    def _comparison(self, horizon: int) -> Comparison:
+        match_space, to_widths = self.space.match_space, self.to_widths
+        target = (-self.target @ to_widths.mT).expand(horizon, -1)
+        weights = to_widths @ match_space.weights.to(to_widths)
+        noise = torch.zeros_like(to_widths)
+        return Comparison(match_space.augmentation, weights, target, noise, None)
+
+
+class ExpectedQuadraticCost(TargetLoss):
+    r"""Expected squared distance from a target in widths, summed over the horizon.
+
+    .. math:: \sum_t \mathbb E\left[\|r_t\|^2\right] =
+        \sum_t \|\mathbb E[r_t]\|^2 + \operatorname{tr} \operatorname{cov}(r_t)
+
+    Far states count most. Arguments and errors are those of :class:`TargetLoss`.
+
+    Example:
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> loss = ExpectedQuadraticCost(policy, GPDynamics(2, 1), space, torch.ones(1), 0.5, 1)
+        >>> loss._costs(Gaussian(torch.zeros(1).double(), torch.ones(1, 1).double())).item()
+        8.0
+    """
+
+    def _costs(self, observed: Gaussian) -> Tensor:
+        residual = self._residual(observed)
+        spread = residual.cov.diagonal(dim1=-2, dim2=-1).sum(-1)
+        return residual.mean.square().sum(-1) + spread
+
+    def _mean_costs(self, observed: Tensor) -> Tensor:
+        return self._residual_of(observed).square().sum(-1)
+
+
+def _root(weight: Tensor) -> Tensor:
+    """Matrix R with R'R = W, for a W that may be singular."""
+    values, vectors = torch.linalg.eigh(weight)
+    if not torch.allclose(weight, weight.mT) or values[0] < -1e-12 * values[-1]:
+        raise ValueError(
+            f"weight must be symmetric and positive semi-definite, got {weight.tolist()}"
+        )
+    return values.clamp(min=0).sqrt()[:, None] * vectors.mT

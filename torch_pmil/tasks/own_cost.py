@@ -1,0 +1,167 @@
+"""The task of one's own robot and a cost, with defaults estimated from the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_whole
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.envs.mujoco_robot import MujocoRobot
+from torch_pmil.envs.one_robot import OneRobot
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.search.target_costs import TargetCost
+from torch_pmil.tasks.cost_task import CostTask
+from torch_pmil.tasks.declared_angles import turning
+from torch_pmil.tasks.fitting import actions_of, independent_start
+from torch_pmil.tasks.method import Method
+from torch_pmil.tasks.own_robot import observed_entries, robot_of
+from torch_pmil.tasks.own_robot_checks import check_said, seconds
+from torch_pmil.tasks.own_starts import spread_of_starts, starts_of
+from torch_pmil.tasks.pilco import SEARCH
+from torch_pmil.tasks.site_match import site_match
+
+WITHIN = 1.0  # widths, of the distance from the target that is a success
+HALF = 0.5  # of an error that is 0 or 1
+
+
+def own_cost(
+    env: Any,
+    cost: TargetCost,
+    horizon: int,
+    control_period: float,
+    *,
+    state: Sequence[str] = (),
+    units: Sequence[str] = (),
+    angles: Sequence[str] = (),
+    match: MatchSpace | str | None = None,
+    success: Callable[[Tensor], Tensor] | None = None,
+    steps_per_action: int | None = None,
+    **settings: Any,
+) -> CostTask:
+    """The task of one's own robot and a cost.
+
+    Anything you leave out is estimated as by :func:`~torch_pmil.tasks.own_robot.own_robot`. The
+    range of the policy's centres comes from the first motion. A success is a rollout whose last
+    fifth is within one width of the target.
+
+    Args:
+        env, control_period, units, angles, steps_per_action: as there.
+        cost: what is minimised. Its target names entries of the state, or ``sin NAME`` and
+            ``cos NAME`` of its angles, or entries of ``match``.
+        horizon: number of actions of a motion.
+        state: names of the entries of the observation; those of a MujocoRobot are known.
+        match: the space of the target, if it is none of these; the name of a site of a MuJoCo
+            robot stands for its place x, y, z.
+        success: of states x_0..x_T, (N, T + 1, D), whether each motion is a success, bool, (N,), in
+            place of the target's.
+        settings: fields of :class:`CostTask` and settings of its method.
+
+    Raises:
+        TypeError, ValueError: the environment, the cost or a setting is not as it must be.
+
+    Example:
+        >>> from torch_pmil.envs import CartPoleEnv
+        >>> from torch_pmil.search.target_costs import SaturatingCost
+        >>> cost = SaturatingCost(target={"x": 0.0, "cos q": 1.0}, width=0.5)
+        >>> state = ("x", "dx", "q", "dq")
+        >>> task = own_cost(CartPoleEnv(), cost, 40, 0.1, state=state, angles=("q",))
+        >>> task.space.match_space.names, task.horizon
+        (('x', 'cos q'), 40)
+    """
+    if not isinstance(cost, TargetCost):
+        raise TypeError(f"cost must be a SaturatingCost or a QuadraticCost, got {cost!r:.80}")
+    check_whole("horizon", horizon, 1)
+    said = {"state": state, "units": units, "angles": angles, "match": match}
+    check_said(own_cost, CostTask, **said, **settings)
+    control_period = seconds(control_period)
+    if isinstance(env, MujocoRobot):
+        state, units, angles = state or env.names, units or env.units, angles or env.turning
+        settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
+    if not state:
+        raise ValueError("state must name the entries of the observation, got none")
+    names, indices = observed_entries(state, angles)
+    if isinstance(match, str):
+        if not isinstance(env, MujocoRobot):
+            raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
+        match = site_match(env, match)
+    known = tuple(units) or ("",) * len(names)
+    match = match or of_target(tuple(cost.target), names, known, indices)
+    space = StateSpace(names, known, indices, match)
+    robot = robot_of(env, control_period, state, steps_per_action, len(names))
+    settings.setdefault("evaluated", not robot.physical)
+    starts = starts_of(robot, state, space, settings)
+    if "initial" not in settings:
+        if starts is None:
+            raise ValueError("initial must be given for a robot that is not reset here, got none")
+        settings["initial"] = independent_start(starts.mean(0), spread_of_starts(starts))
+    if isinstance(robot, OneRobot):
+        robot.turning_entries = turning(state, space, settings["initial"].mean)
+    return _task(robot, space, cost, horizon, control_period, success, settings)
+
+
+def _task(
+    robot: Any,
+    space: StateSpace,
+    cost: TargetCost,
+    horizon: int,
+    control_period: float,
+    success: Callable[[Tensor], Tensor] | None,
+    settings: Mapping[str, Any],
+) -> CostTask:
+    """The task of these settings, by default those that robot and cost suggest."""
+    of_task = {entry.name for entry in fields(CostTask)}
+    given = {name: value for name, value in settings.items() if name in of_task}
+    chosen = {name: value for name, value in settings.items() if name not in of_task}
+    error = cost.at_end(space) if success is None else _failed(success)
+    defaults: dict[str, Any] = {
+        "name": robot.name,
+        "actions": actions_of(robot()),
+        "error": of_states(error),
+        "tolerance": WITHIN if success is None else HALF,
+        "method": Method(search=SEARCH),
+        "draws": robot.draws,
+    }
+    fixed = {"make_env": robot, "space": space, "cost": cost, "steps": horizon}
+    task = CostTask(**fixed, control_period=control_period, **(defaults | given))
+    return task.with_settings(**chosen)
+
+
+def _failed(success: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    """An error (N,) that is 1 where a motion is no success."""
+    if not callable(success):
+        raise TypeError(f"success must be a function of states, got {type(success).__name__}")
+    return lambda states: 1 - success(states).double()
+
+
+def of_target(
+    target: Sequence[str], names: Sequence[str], units: Sequence[str], angles: Sequence[int]
+) -> MatchSpace:
+    """The match space of entries of the state, and of sines and cosines of its angles, by name.
+
+    Raises ValueError if there is no such entry.
+
+    Example:
+        >>> space = of_target(("cos q", "x"), ("x", "q"), ("m", "rad"), angles=(1,))
+        >>> space(torch.tensor([2.0, 0.0], dtype=torch.float64))
+        tensor([1., 2.], dtype=torch.float64)
+    """
+    D, K = len(names), len(angles)
+    turned = torch.eye(D, dtype=torch.float64)[list(angles)]
+    columns = [
+        *names,
+        *(f"sin {names[entry]}" for entry in angles),
+        *(f"cos {names[entry]}" for entry in angles),
+    ]
+    if unknown := [name for name in target if name not in columns]:
+        raise ValueError(
+            f"target must name some of {', '.join(columns)}, or entries of match, got "
+            f"{', '.join(unknown)}"
+        )
+    chosen = torch.eye(D + 2 * K, dtype=torch.float64)[[columns.index(name) for name in target]]
+    labels = dict(zip(names, units, strict=True))
+    return MatchSpace(tuple(target), tuple(labels.get(name, "") for name in target), turned, chosen)

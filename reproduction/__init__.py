@@ -21,6 +21,7 @@ from reproduction.masses import MASSES
 from reproduction.noise import NOISE
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
+from reproduction.pilco_scenarios import PILCO_SCENARIOS
 from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
@@ -63,5 +64,6 @@ PAPER = {
         PENDUBOT,
         ACROBOT,
         IMPERFECT,
+        PILCO_SCENARIOS,
     )
 }

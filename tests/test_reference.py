@@ -5,7 +5,7 @@ input covariance.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.functional import jacobian
 
-from torch_pmil.control.rbf_policy import Controller
+from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -23,7 +23,11 @@ from torch_pmil.gp.sparse_posterior import sparse_posterior
 from torch_pmil.gp.trigonometry import augment, squash
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_step
-from torch_pmil.search.saturating_cost import expected_saturating_cost
+from torch_pmil.search.target_losses import (
+    ExpectedQuadraticCost,
+    ExpectedSaturatingCost,
+    TargetLoss,
+)
 
 FOLDER = Path(__file__).parent / "reference"
 POLICY_NUGGET = (
@@ -383,14 +387,17 @@ def test_first_step_has_the_reference_jacobians_in_the_policy(name: str) -> None
     assert_agrees(column_major(by_cov), data["step_dSdp"])
 
 
-def quadratic_cost(state: Gaussian, W: Tensor, z: Tensor) -> Tensor:
-    delta = state.mean - z
-    return (W * state.cov).sum((-2, -1)) + (delta @ W * delta).sum(-1)
+def cost_of(kind: type[TargetLoss], state: Gaussian, W: Tensor, z: Tensor) -> Tensor:
+    """Costs of states with the weights W around z, by a loss of this package."""
+    names = tuple(map(str, range(state.dim)))
+    space = StateSpace(names, names, (), joint_match(names, names))
+    policy = RBFPolicy(torch.zeros(1, state.dim), torch.ones(1), torch.ones(state.dim))
+    model = GPDynamics(state.dim + 1, state.dim)
+    return kind(policy, model, space, z, width=1.0, horizon=1, weight=W)._costs(state)
 
 
-def saturating_cost(state: Gaussian, W: Tensor, z: Tensor) -> Tensor:
-    root = torch.linalg.cholesky(W).mT
-    return expected_saturating_cost(Gaussian(state.mean - z, state.cov).affine(root))
+quadratic_cost = partial(cost_of, ExpectedQuadraticCost)
+saturating_cost = partial(cost_of, ExpectedSaturatingCost)
 
 
 @policy_files

@@ -85,6 +85,11 @@ def test_settings_of_the_cost_and_the_method_are_known(task: CostTask) -> None:
     assert (task.horizon, task.time_step, task.demonstrations) == (40, 0.1, None)
 
 
+def test_another_optimiser_can_be_given() -> None:
+    assert cart_pole(optimizer=torch.optim.Adam).method.optimizer is torch.optim.Adam
+    assert cart_pole().method.optimizer is torch.optim.LBFGS
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -95,6 +100,7 @@ def test_settings_of_the_cost_and_the_method_are_known(task: CostTask) -> None:
             {"cost": SaturatingCost(target={"tip": 0.0}, width=1.0)},
             "target must name some of x, dx, q, dq, sin q, cos q, or entries of match, got tip",
         ),
+        ({"optimizer": "Adam"}, "optimizer must be a class of torch.optim, or make one, got str"),
         ({"success": 1}, "success must be a function of states, got int"),
         ({"match": "tip"}, "match by a site needs a MujocoRobot, got CartPoleEnv"),
         ({"noise_std": 0.1}, "settings must be known ones, got 'noise_std'"),

@@ -105,6 +105,10 @@ class Learner:
             path, learned.policy, learned.space, learned.control_period, actions=learned.actions
         )
 
+    def export(self, path: Path | str, batch: bool = False) -> None:
+        """Write the policy as a program that needs only PyTorch, see :meth:`StatePolicy.export`."""
+        self.policy.export(path, batch)
+
     def evaluate(self, starts: int = MEASURED_STARTS, seed: int = Stream.EVALUATED_STARTS) -> float:
         """Success rate of the policy on the robot, from fresh starts.
 

@@ -14,6 +14,7 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
+from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.target_costs import TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
@@ -24,6 +25,7 @@ from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_starts import spread_of_starts, starts_of
 from torch_pmil.tasks.pilco import SEARCH
 from torch_pmil.tasks.site_match import site_match
+from torch_pmil.tasks.task import with_optimizer
 
 WITHIN = 1.0  # widths, of the distance from the target that is a success
 HALF = 0.5  # of an error that is 0 or 1
@@ -41,6 +43,7 @@ def own_cost(
     match: MatchSpace | str | None = None,
     success: Callable[[Tensor], Tensor] | None = None,
     steps_per_action: int | None = None,
+    optimizer: MakeOptimizer | None = None,
     **settings: Any,
 ) -> CostTask:
     """The task of one's own robot and a cost.
@@ -50,7 +53,7 @@ def own_cost(
     fifth is within one width of the target.
 
     Args:
-        env, control_period, units, angles, steps_per_action: as there.
+        env, control_period, units, angles, steps_per_action, optimizer: as there.
         cost: what is minimised. Its target names entries of the state, or ``sin NAME`` and
             ``cos NAME`` of its angles, or entries of ``match``.
         horizon: number of actions of a motion.
@@ -101,7 +104,8 @@ def own_cost(
         settings["initial"] = independent_start(starts.mean(0), spread_of_starts(starts))
     if isinstance(robot, OneRobot):
         robot.turning_entries = turning(state, space, settings["initial"].mean)
-    return _task(robot, space, cost, horizon, control_period, success, settings)
+    task = _task(robot, space, cost, horizon, control_period, success, settings)
+    return with_optimizer(task, optimizer)
 
 
 def _task(

@@ -18,6 +18,7 @@ from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
+from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
@@ -29,7 +30,7 @@ from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.task import Task, with_optimizer
 from torch_pmil.tasks.unit_checks import check_units
 
 TOLERANCE = 2.0  # standard deviations of the demonstrations
@@ -56,6 +57,7 @@ def own_robot(
     step: float | Literal["auto"] = "auto",
     past: Literal["auto"] | None = "auto",
     steps_per_action: int | None = None,
+    optimizer: MakeOptimizer | None = None,
     **settings: Any,
 ) -> Task:
     """The task of one's own robot and recordings.
@@ -103,6 +105,8 @@ def own_robot(
             given above is not chosen.
         steps_per_action: steps of the environment for which an action is held, see
             :class:`~torch_pmil.envs.one_robot.OneRobot`.
+        optimizer: of the policy search, a class of ``torch.optim`` or a function that makes one
+            (:func:`~torch_pmil.gp.lbfgs.minimise`); ``torch.optim.LBFGS`` if None.
         settings: fields of :class:`Task` and settings of its method
             (:class:`~torch_pmil.tasks.method.Method`), by name, in place of the defaults.
 
@@ -139,7 +143,7 @@ def own_robot(
     settings.setdefault("evaluated", not robot.physical)
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
-    task = _task(robot, space, shown, states, starts, settings)
+    task = with_optimizer(_task(robot, space, shown, states, starts, settings), optimizer)
     given = Sampling(1, past_entries, past_actions, positions_only)
     samplings = samplings_of(task, given, step, past)
     if len(samplings) > 1:

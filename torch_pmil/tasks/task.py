@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Self
+from dataclasses import asdict, dataclass, field, replace
+from typing import Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
@@ -25,6 +25,7 @@ from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.history import History
 from torch_pmil.envs.rollouts import OfStates, as_executed
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
@@ -344,6 +345,22 @@ class Task(Settings):
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Inputs of a policy (S, D') in starts (S, D)."""
         return self.space.features(starts)
+
+
+T = TypeVar("T", bound=Task)
+
+
+def with_optimizer(task: T, optimizer: MakeOptimizer | None) -> T:
+    """The same task with another optimiser of the policy search, unless it is None.
+
+    Raises TypeError if it is no class or function.
+    """
+    if optimizer is None:
+        return task
+    if not callable(optimizer):
+        got = type(optimizer).__name__
+        raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
+    return replace(task, method=replace(task.method, optimizer=optimizer))
 
 
 def check_task(task: Task) -> None:

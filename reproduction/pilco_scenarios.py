@@ -30,7 +30,7 @@ from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.own_cost import own_cost
 
 SEEDS, QUICK_SEEDS, QUICK_TRIALS = range(10), range(1), 2
-GRAVITY, SUBSTEPS, START_STD = 9.82, 20, 0.1
+GRAVITY, SUBSTEPS, START_STD = 9.82, 5, 0.1
 LEARNED = 0.95
 
 Array = np.ndarray
@@ -96,7 +96,8 @@ class Scenario:
         D, n = len(self.state), len(self.lengths)
         entries = [self.state.index(f"q{number + 1}") for number in range(n)]
         weights = torch.zeros(2, D + 2 * n, dtype=torch.float64)
-        weights[0, D : D + n] = weights[1, D + n :] = torch.tensor(self.lengths, dtype=torch.float64)
+        lengths = torch.tensor(self.lengths, dtype=torch.float64)
+        weights[0, D : D + n] = weights[1, D + n :] = lengths
         if self.cart is not None:
             weights[0, 0] = 1.0
         return MatchSpace(("tip x", "tip y"), ("m", "m"), torch.eye(D).double()[entries], weights)

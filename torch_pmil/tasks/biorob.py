@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -15,7 +13,7 @@ from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
 from torch_pmil.envs.racket import distance_along
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.fitting import simulated_parts
-from torch_pmil.tasks.method import ON_SAMPLES, EndingSettings, Method, PolicySettings
+from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = (0.03, 0.03, 0.03, 0.3, 0.3, 0.3)  # rad, rad/s
@@ -108,7 +106,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
                 num_centres=80, input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64)
             ),
             exploration=movements_around(start, reach, parts["actions"].half_range),
-            search=replace(ON_SAMPLES, mean_iterations=0, final_iterations=160),
+            search=SEARCH,
             ending=EndingSettings(confirmations=4),
         ),
     )

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
-from torch_pmil import PILCO, SaturatingCost, load_policy
+from torch_pmil import PILCO, CostTask, SaturatingCost, load_policy, own_cost
+from torch_pmil.runs.training import RunResult, train
 
 
 @pytest.mark.slow
@@ -30,3 +32,46 @@ def test_pole_is_brought_to_rest_in_the_middle(seed: int, tmp_path: Path) -> Non
     names = {path.name for path in (tmp_path / "run" / "figures").iterdir()}
     assert "trajectories.png" in names and "kl_per_step.png" not in names
     assert (tmp_path / "run" / "report.html").exists()
+
+
+def short(**settings: object) -> CostTask:
+    """A task whose searches take a moment."""
+    pytest.importorskip("gymnasium")
+    quick = {"mean_iterations": 1, "stage_iterations": 2, "final_iterations": 2, "restarts": 0}
+    return own_cost(
+        "InvertedPendulum-v5",
+        SaturatingCost(target={"q": 0.0}, width=0.1),
+        horizon=12,
+        control_period=0.04,
+        state=("x", "q", "dx", "dq"),
+        num_centres=5,
+        **{f"search.{name}": value for name, value in quick.items()},
+        **settings,
+    )
+
+
+def learned(task: CostTask, out: Path, trials: int, resume: bool = False) -> RunResult:
+    return train(task, 1, trials, out, "", progress_bar=False, resume=resume)
+
+
+def test_stopped_run_goes_on_to_the_same_policy(tmp_path: Path) -> None:
+    """Its first motion, which says where the policy's centres are, is that of the run."""
+    whole = learned(short(), tmp_path / "whole", 2)
+    learned(short(), tmp_path / "stopped", 1)
+    resumed = learned(short(), tmp_path / "stopped", 2, resume=True)
+    for name, tensor in whole.policy.policy.state_dict().items():
+        assert torch.equal(tensor, resumed.policy.policy.state_dict()[name]), name
+    assert torch.equal(whole.task.centre_std, resumed.task.centre_std)
+
+
+def test_run_with_another_cost_is_another_run(tmp_path: Path) -> None:
+    learned(short(), tmp_path / "run", 1)
+    other = short().with_settings(**{"cost.width": 0.2})
+    with pytest.raises(ValueError, match=r"has cost = .*it cannot go on so"):
+        learned(other, tmp_path / "run", 2, resume=True)
+
+
+def test_another_optimiser_searches_too(tmp_path: Path) -> None:
+    result = learned(short(optimizer=torch.optim.Adam), tmp_path / "run", 1)
+    assert result.trials[0].evaluations > 0
+    assert result.summary["settings"]["optimizer"] == "Adam"

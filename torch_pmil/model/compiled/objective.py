@@ -51,6 +51,8 @@ class PolicyObjective:
         of_trajectory = CostsOfMeans if mean_alone else CostsOfBeliefs
         self.costs = of_trajectory(robot, comparison, start, plan.horizon)
 
+    # a line search may try widths whose squares are no numbers: the optimiser sees that by itself
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
     def __call__(self, parameters: Parameters) -> tuple[float, Parameters] | None:
         """The sum and its gradients; None where the formulas must say what is wrong."""
         inputs, weights, squares = self.network[:3]

@@ -164,6 +164,19 @@ def test_horizon_that_skips_matched_steps_begins_where_they_end(
     assert horizons(search(loss, settings), "mean") == expected
 
 
+@pytest.mark.parametrize(("sure", "used"), [(True, "spread"), (False, "step_loss_for_trust")])
+def test_step_is_trusted_where_its_prediction_is_sure_or_where_it_matches(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, sure: bool, used: str
+) -> None:
+    """By the one measure nothing is trusted at first, and then all; the other is not asked."""
+    doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
+    for name in ("spread", "step_loss_for_trust"):
+        monkeypatch.setattr(loss, name, None)
+    monkeypatch.setattr(loss, used, lambda *_: next(doubts))
+    settings = replace(SHORTEST, trust_what_is_sure=sure)
+    assert horizons(search(loss, settings), "mean") == [2, 6]
+
+
 def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:
     result = search(hopeless).result
     assert (result.horizon, result.converged) == (4, False)

@@ -29,6 +29,7 @@ from torch_pmil.runs import training
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search import policy_search
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -62,9 +63,11 @@ def shortened(task: Task, steps: int, **changes: object) -> Task:
     Args:
         changes: settings and groups of them, and fields of the task.
     """
+    quick = {"num_centres": 5, "search": SearchSettings(1, 1, 1, first_horizon=1.0)}
+    if isinstance(task, CostTask):
+        return changed(task, **{"steps": steps} | quick | changes)
     shown = replace(task.demonstrations, positions=task.demonstrations.positions[:, : steps + 1])
-    quick = SearchSettings(1, 1, 1, first_horizon=1.0)
-    return changed(task, **{"demonstrations": shown, "num_centres": 5, "search": quick} | changes)
+    return changed(task, **{"demonstrations": shown} | quick | changes)
 
 
 def changed(task: Task, **changes: object) -> Task:

@@ -136,7 +136,7 @@ def test_biorob_that_shall_stay_is_explored_by_small_movements() -> None:
     assert shipped.reach.rad2deg()[:3].tolist() == pytest.approx([24.0, 34.0, 39.0])
 
 
-@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - UNLIKE))
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - UNLIKE - {"double_pendulum_pilco"}))
 def test_least_widths_change_nothing_of_shipped_demonstrations(
     name: str, generator: torch.Generator
 ) -> None:

@@ -189,7 +189,7 @@ class _Search:
     def named(self) -> tuple[str, str]:
         """Name and unit of it."""
         if isinstance(self.loss, TrajectoryKLLoss):
-            return f"{self.loss.label} of an entry", self.loss.unit
+            return self.loss.label, self.loss.unit
         return "predicted variance", "of that of the data"
 
     def stuck(self, step: int, horizons: Sequence[int]) -> Reason:

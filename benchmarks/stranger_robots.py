@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
+from reproduction.runge_kutta import runge_kutta
 from torch_pmil.demonstrations import Recordings
 
 Array = np.ndarray
@@ -101,10 +102,7 @@ class StrangerEnv(gymnasium.Env):
         u, steps = self.waiting.pop(0), max(2, round(self.dt / 0.01)) if self.dt < 1 else 10
         h, f = self.dt / steps, lambda x: np.asarray(self.stranger.derivative(x, u), np.float64)
         for _ in range(steps):
-            k1 = f(self.true)
-            k2 = f(self.true + h / 2 * k1)
-            k3 = f(self.true + h / 2 * k2)
-            self.true = self.true + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(self.true + h * k3))
+            self.true = runge_kutta(f, self.true, h)
         return self._reading(), 0.0, False, False, {}
 
     def _reading(self) -> Array:

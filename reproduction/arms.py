@@ -33,6 +33,7 @@ from torch_pmil.envs.rollouts import of_states, states_of
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.target_costs import SaturatingCost
 from torch_pmil.tasks.cost_task import CostTask
+from torch_pmil.tasks.method import SURE
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.pilco import with_cost
 from torch_pmil.tasks.task import Task
@@ -63,7 +64,9 @@ SEARCH = SearchSettings(
 )
 COST_WIDTH, MOST_SPEED = 0.5, 3.0  # of PILCO's cost: rad, rad/s
 # as many iterations, all over the whole horizon: the first policy is not far from the last pose
-COST_SEARCH = replace(SEARCH, first_horizon=1.0, skip_matched_steps=False, trust_threshold=0.15)
+COST_SEARCH = replace(
+    SEARCH, first_horizon=1.0, skip_matched_steps=False, trust_threshold=SURE.trust_threshold
+)
 
 Array = NDArray[np.float64]
 

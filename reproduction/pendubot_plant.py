@@ -13,6 +13,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from reproduction.runge_kutta import runge_kutta
+
 GRAVITY = 9.81  # m/s²
 LENGTH = 0.2  # m, of link 1
 GEAR_RATIO = 6.0
@@ -81,12 +83,7 @@ def stepped(plants: dict[str, Tensor], states: Tensor, torques: Tensor) -> Tenso
         bent = accelerations(plants, at, torques)
         return torch.stack([at[:, 1], bent[:, 0], at[:, 3], bent[:, 1]], -1)
 
-    half = TIME_STEP / 2
-    k1 = slope(states)
-    k2 = slope(states + half * k1)
-    k3 = slope(states + half * k2)
-    k4 = slope(states + TIME_STEP * k3)
-    return states + TIME_STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return runge_kutta(slope, states, TIME_STEP)
 
 
 def stacked(plants: list[Plant]) -> dict[str, Tensor]:

@@ -22,6 +22,7 @@ import torch
 from gymnasium.spaces import Box
 
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from reproduction.runge_kutta import runge_kutta
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.plotting import plot_success_over_experience
 from torch_pmil.runs.summaries import read_summary, success_over_experience
@@ -140,11 +141,7 @@ class ChainEnv(gymnasium.Env):
         """Hold an action for a control period."""
         u, h = np.clip(action, self.action_space.low, self.action_space.high), self.dt / SUBSTEPS
         for _ in range(SUBSTEPS):
-            k1 = self._derivative(self.now, u)
-            k2 = self._derivative(self.now + h / 2 * k1, u)
-            k3 = self._derivative(self.now + h / 2 * k2, u)
-            k4 = self._derivative(self.now + h * k3, u)
-            self.now = self.now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            self.now = runge_kutta(lambda state: self._derivative(state, u), self.now, h)
         return self.now.copy(), 0.0, False, False, {}
 
     def _derivative(self, state: Array, action: Array) -> Array:

@@ -49,7 +49,7 @@ def test_energy_changes_by_the_work_of_the_motors(scenario: Scenario) -> None:
 
 
 def test_cart_pole_has_the_published_accelerations() -> None:
-    """Deisenroth (2010), Eqs. C.23 and C.24, whose angle counts from hanging, the other way."""
+    """Those of Deisenroth (2010), whose angle counts from hanging, the other way."""
     cart_pole = SCENARIOS["cart_pole"]
     (length,), (m,), M, b, g = *(cart_pole.lengths, cart_pole.masses), cart_pole.cart, 0.1, GRAVITY
     q, dx, dq, u = 0.7, -0.3, 1.9, 4.0

@@ -92,8 +92,9 @@ class TargetCost(Settings):
                 f"target must name entries of the match space {', '.join(names)}, got "
                 f"{', '.join(unknown)}"
             )
-        target = torch.tensor([float(self.target.get(name, 0)) for name in names]).double()
-        return target, torch.tensor([float(name in self.target) for name in names]).double()
+        values = [[float(self.target.get(name, 0)), name in self.target] for name in names]
+        target, counts = torch.tensor(values, dtype=torch.float64).unbind(-1)
+        return target, counts
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import torch
@@ -13,17 +13,28 @@ from torch_pmil.checks import check_positive, check_positive_entries, check_tens
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.target_costs import TargetCost
 from torch_pmil.search.target_losses import TargetLoss
+from torch_pmil.tasks.method import SURE, Method
 from torch_pmil.tasks.task import Task
 
 SPREAD = 400  # states
 REACH = 2.0  # standard deviations of such states, in those of the first motion
+SEARCH = SearchSettings(
+    mean_iterations=40,
+    stage_iterations=20,
+    final_iterations=40,
+    first_horizon=0.12,
+    trust_threshold=SURE.trust_threshold,
+    skip_matched_steps=False,
+    restarts=2,
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CostTask(Task):
-    """A task learned from a cost (Deisenroth and Rasmussen 2011). Demonstrations change nothing.
+    """A task learned from a cost, without demonstrations (Deisenroth and Rasmussen 2011).
 
     Args:
         cost: what is minimised.
@@ -46,6 +57,7 @@ class CostTask(Task):
     demonstrations: None = None  # type: ignore[assignment]
     demonstrated_states: None = None  # type: ignore[assignment]
     noise_std: float = 0.0
+    method: Method = field(default_factory=lambda: Method(search=SEARCH))
     cost: TargetCost
     steps: int
     control_period: float

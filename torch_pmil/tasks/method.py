@@ -128,7 +128,7 @@ class Method(Settings):
     optimizer: MakeOptimizer = torch.optim.LBFGS
 
 
-MATCHED = SearchSettings()
+BY_MATCH = SearchSettings()
 # what is sure is followed, and where nothing is sure to the end, samples lead: the robots of the
 # package learn sooner with one or both, except those that need a match followed step by step
 SURE = SearchSettings(trust_threshold=0.15, trust_what_is_sure=True)
@@ -136,7 +136,7 @@ ON_SAMPLES = replace(SURE, sample_steps=500)
 
 
 def with_least_widths(
-    widths: Sequence[float], num_centres: int = 100, search: SearchSettings = MATCHED
+    widths: Sequence[float], num_centres: int = 100, search: SearchSettings = BY_MATCH
 ) -> Method:
     """A method whose new policies have so many basis functions of at least these widths."""
     least = torch.tensor(widths, dtype=torch.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import torch
@@ -11,19 +10,16 @@ from torch import Tensor
 
 from torch_pmil.checks import check_whole
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.target_costs import TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
-from torch_pmil.tasks.fitting import actions_of, independent_start
-from torch_pmil.tasks.method import Method
-from torch_pmil.tasks.own_robot import observed_entries, robot_of
+from torch_pmil.tasks.fitting import actions_of
+from torch_pmil.tasks.own_robot import entries_of, observed_entries, parted, robot_of
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
-from torch_pmil.tasks.own_starts import spread_of_starts, starts_of
-from torch_pmil.tasks.pilco import SEARCH
+from torch_pmil.tasks.own_starts import start_around, starts_of
 from torch_pmil.tasks.site_match import site_match
 from torch_pmil.tasks.task import with_optimizer
 
@@ -58,8 +54,8 @@ def own_cost(
             ``cos NAME`` of its angles, or entries of ``match``.
         horizon: number of actions of a motion.
         state: names of the entries of the observation; those of a MujocoRobot are known.
-        match: the space of the target, if it is none of these; the name of a site of a MuJoCo
-            robot stands for its place x, y, z.
+        match: the match space whose entries the target names. The name of a site of a MuJoCo
+            robot stands for its place x, y, z. None if the target names entries of the state.
         success: of states x_0..x_T, (N, T + 1, D), whether each motion is a success, bool, (N,), in
             place of the target's.
         settings: fields of :class:`CostTask` and settings of its method.
@@ -82,15 +78,11 @@ def own_cost(
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_cost, CostTask, **said, **settings)
     control_period = seconds(control_period)
-    if isinstance(env, MujocoRobot):
-        state, units, angles = state or env.names, units or env.units, angles or env.turning
-        settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
+    state, units, angles = entries_of(env, state, units, angles, settings)
     if not state:
         raise ValueError("state must name the entries of the observation, got none")
     names, indices = observed_entries(state, angles)
     if isinstance(match, str):
-        if not isinstance(env, MujocoRobot):
-            raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
         match = site_match(env, match)
     known = tuple(units) or ("",) * len(names)
     match = match or of_target(tuple(cost.target), names, known, indices)
@@ -101,7 +93,7 @@ def own_cost(
     if "initial" not in settings:
         if starts is None:
             raise ValueError("initial must be given for a robot that is not reset here, got none")
-        settings["initial"] = independent_start(starts.mean(0), spread_of_starts(starts))
+        settings["initial"] = start_around(starts.mean(0), starts.std(0))
     if isinstance(robot, OneRobot):
         robot.turning_entries = turning(state, space, settings["initial"].mean)
     task = _task(robot, space, cost, horizon, control_period, success, settings)
@@ -118,16 +110,13 @@ def _task(
     settings: Mapping[str, Any],
 ) -> CostTask:
     """The task of these settings, by default those that robot and cost suggest."""
-    of_task = {entry.name for entry in fields(CostTask)}
-    given = {name: value for name, value in settings.items() if name in of_task}
-    chosen = {name: value for name, value in settings.items() if name not in of_task}
+    given, chosen = parted(settings, CostTask)
     error = cost.at_end(space) if success is None else _failed(success)
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(robot()),
         "error": of_states(error),
         "tolerance": WITHIN if success is None else HALF,
-        "method": Method(search=SEARCH),
         "draws": robot.draws,
     }
     fixed = {"make_env": robot, "space": space, "cost": cost, "steps": horizon}

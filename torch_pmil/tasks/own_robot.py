@@ -128,14 +128,10 @@ def own_robot(
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_robot, Task, **said, **settings)
     control_period = seconds(control_period)
-    if isinstance(env, MujocoRobot):
-        state, units, angles = state or env.names, units or env.units, angles or env.turning
-        settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
+    state, units, angles = entries_of(env, state, units, angles, settings)
     of_match = match.names if isinstance(match, MatchSpace) else () if match else state
     recorded = read(demonstrations, tuple(of_match), control_period)
     if isinstance(match, str):
-        if not isinstance(env, MujocoRobot):
-            raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
         match = site_match(env, match, orientation=len(recorded.names) > PLACE)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
@@ -187,9 +183,7 @@ def _task(
     settings: Mapping[str, Any],
 ) -> Task:
     """The task of these settings, by default those that robot and demonstrations suggest."""
-    of_task = {entry.name for entry in fields(Task)}
-    given = {name: value for name, value in settings.items() if name in of_task}
-    chosen = {name: value for name, value in settings.items() if name not in of_task}
+    given, chosen = parted(settings, Task)
     if "noise_std" not in given:
         given["noise_std"] = noise(shown, space.match_space.units)
     given["noise_std"] = torch.as_tensor(given["noise_std"], dtype=torch.float64)
@@ -219,6 +213,27 @@ def _task(
     if task.promised is None:
         chosen = {"confirmations": CONFIRMATIONS, **chosen}
     return task.with_settings(**chosen)
+
+
+def entries_of(
+    env: Any,
+    state: Sequence[str],
+    units: Sequence[str],
+    angles: Sequence[str],
+    settings: dict[str, Any],
+) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
+    """Names, units and angles of the observation; a MujocoRobot knows them, and its start."""
+    if not isinstance(env, MujocoRobot):
+        return state, units, angles
+    settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))
+    return state or env.names, units or env.units, angles or env.turning
+
+
+def parted(settings: Mapping[str, Any], kind: type[Task]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The fields of a kind of task among settings, and the settings of its method."""
+    of_task = {entry.name for entry in fields(kind)}
+    given = {name: value for name, value in settings.items() if name in of_task}
+    return given, {name: value for name, value in settings.items() if name not in of_task}
 
 
 def robot_of(

@@ -54,10 +54,9 @@ def starts_of(
     return without_turns(states[:, None], beside, space.angles)[:, 0]
 
 
-def spread_of_starts(starts: Tensor) -> Tensor:
-    """Standard deviations (D,) of starts (S, D), positive where an entry is always the same."""
-    std = starts.std(0)
-    return torch.where(std > 0, std, UNMOVED)
+def start_around(mean: Tensor, std: Tensor) -> Gaussian:
+    """p(x_0) of independent entries, (D,) each, of which those that never differ hardly do."""
+    return independent_start(mean, torch.where(std > 0, std, UNMOVED))
 
 
 def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
@@ -79,4 +78,4 @@ def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gau
             UserWarning,
             stacklevel=5,
         )
-    return independent_start(starts.mean(0), torch.where(std > 0, std, UNMOVED))
+    return start_around(starts.mean(0), std)

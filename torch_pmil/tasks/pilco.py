@@ -7,23 +7,13 @@ from dataclasses import fields, replace
 import torch
 
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.target_costs import SaturatingCost
-from torch_pmil.tasks.cost_task import CostTask
+from torch_pmil.tasks.cost_task import SEARCH, CostTask
 from torch_pmil.tasks.double_pendulum import UPRIGHT, double_pendulum
 from torch_pmil.tasks.task import Task
 
 COST_WIDTH = 2.0  # m, Eq. 28
 VELOCITY_STD = 3.0  # rad/s
-SEARCH = SearchSettings(
-    mean_iterations=40,
-    stage_iterations=20,
-    final_iterations=40,
-    first_horizon=0.12,
-    trust_threshold=0.15,
-    skip_matched_steps=False,
-    restarts=2,
-)
 
 
 def with_cost(task: Task, name: str, cost: SaturatingCost, velocity_std: float) -> CostTask:

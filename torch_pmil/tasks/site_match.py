@@ -40,6 +40,7 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
         Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: its axes.
 
     Raises:
+        TypeError: the robot is of another kind.
         ValueError: there is no such site, or an observed slide moves it, or a hidden joint that
             follows others.
 
@@ -52,6 +53,8 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
         >>> place.names, place(upright).round(decimals=3) + 0.0
         (('x', 'y', 'z'), tensor([0., 0., 1.], dtype=torch.float64))
     """
+    if not isinstance(robot, MujocoRobot):
+        raise TypeError(f"match by a site needs a MujocoRobot, got {type(robot).__name__}")
     model = robot.model
     names = [model.site(number).name for number in range(model.nsite)]
     if site not in names:

@@ -70,6 +70,18 @@ def scaled(settings: Mapping[str, Any], name: str, factor: float) -> str:
     return f"{name}={factor * value:g}"
 
 
+def forgiveness(settings: Mapping[str, Any]) -> tuple[str, str]:
+    """What lets an objective forgive more, in words, and its setting.
+
+    Example:
+        >>> forgiveness({"cost.width": 0.25})
+        ('a wider target', 'cost.width')
+    """
+    if "noise_std" in settings:
+        return "more tolerance", "noise_std"
+    return "a wider target", "cost.width"
+
+
 def larger_motion(settings: Mapping[str, Any]) -> str:
     """A setting for a larger first motion, as NAME=VALUE.
 
@@ -249,6 +261,7 @@ def check_search(
         mismatch: what does not match there, in words.
         horizons: step up to which the search of each trial went.
     """
+    what, forgiving = forgiveness(settings)
     rise, cause, hint = "is", "too few trials", "more trials may lead them further"
     if step > 1:
         rise = f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
@@ -257,12 +270,8 @@ def check_search(
             "search stuck",
             f"{LATEST} trials led them no further, so try another seed, more iterations "
             f"({scaled(settings, 'search.stage_iterations', 2)}), a larger threshold "
-            f"({scaled(settings, 'search.trust_threshold', 2)}), or "
-            + (
-                f"more tolerance ({scaled(settings, 'noise_std', 2)})"
-                if "noise_std" in settings
-                else f"a wider target ({scaled(settings, 'cost.width', 2)})"
-            ),
+            f"({scaled(settings, 'search.trust_threshold', 2)}), or {what} "
+            f"({scaled(settings, forgiving, 2)})",
         )
     return Reason(
         cause,
@@ -303,8 +312,7 @@ def unexplained(
 
     ``largest`` is what is left of the objective, in words.
     """
-    strict = "noise_std" if "noise_std" in settings else "cost.width"
-    stricter = scaled(settings, strict, 0.5)
+    stricter = scaled(settings, forgiveness(settings)[1], 0.5)
     return Reason(
         "success criterion",
         "the robot does what was predicted, and the prediction is good enough for the search, yet "

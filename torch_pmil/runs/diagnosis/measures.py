@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import within_two_sigma
+from torch_pmil.search.policy_search import SearchSettings
 
 LEARNED = 0.95  # success rate of a run that has nothing to explain: the paper's
 COVERED = 0.75  # share of one-step errors within two standard deviations; learned: 0.81 and more
@@ -19,7 +20,8 @@ COVERED = 0.75  # share of one-step errors within two standard deviations; learn
 FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
-MATCHED = 0.75  # nats of an entry, up to which a step of the prediction matches
+# nats of an entry, up to which a step of the prediction matches
+MATCHED = SearchSettings().trust_threshold
 MISMATCH = 1.5  # largest loss of a step over what is right; learned: up to 1.31
 NEAR_LIMIT = 0.95  # of half the range of an action, from its middle
 SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38

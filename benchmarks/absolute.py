@@ -10,7 +10,8 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import FitResult
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.task import Task
 

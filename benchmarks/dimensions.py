@@ -24,7 +24,7 @@ from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.files import write_json
-from torch_pmil.model.dynamics import Targets
+from torch_pmil.model.forward_model import Targets
 
 SEED = 0
 TIME_STEP = 0.05  # s

@@ -26,14 +26,13 @@ from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import make_problem
 from torch_pmil.files import write_json
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.function_samples import (
-    FunctionSamples,
+from torch_pmil.model.particles import sample_rollouts
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.model.sampled_rollouts import (
     follow_functions,
     noise_of_steps,
     sample_consistent_rollouts,
 )
-from torch_pmil.model.particles import sample_rollouts
-from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.promise import SAMPLES
 from torch_pmil.tasks.registry import load_experiment
@@ -85,7 +84,7 @@ def speed(n: int) -> dict[str, float]:
     problem = make_problem(n, HORIZON, most_exact=max(SIZES))
     dynamics, policy, space = problem.dynamics, problem.policy, problem.experiment.space
     generator = torch.Generator().manual_seed(0)
-    functions = FunctionSamples.draw(dynamics, FUNCTIONS, generator)
+    functions = dynamics.functions(FUNCTIONS, generator)
     start = problem.experiment.initial.sample(FUNCTIONS, generator)
     noise = noise_of_steps(dynamics, (FUNCTIONS, HORIZON), generator)
 
@@ -96,7 +95,7 @@ def speed(n: int) -> dict[str, float]:
     row = {
         "n": n,
         "functions_ms": fastest(follow),
-        "drawing_ms": fastest(partial(FunctionSamples.draw, dynamics, FUNCTIONS, generator)),
+        "drawing_ms": fastest(partial(dynamics.functions, FUNCTIONS, generator)),
     }
     return row | ({"moments_ms": fastest(evaluation(n))} if n <= LARGEST_OF_MOMENTS else {})
 
@@ -132,10 +131,10 @@ def scores(
     """What the trial's model predicted of these rollouts, and how far that was from them."""
     loss, promise = trainer.loss_module, trainer.promise
     given = loss.actor_network, loss.dynamics, loss.space, loss.horizon
-    functions = FunctionSamples.draw(loss.dynamics, SAMPLES, torch.Generator().manual_seed(1))
+    functions = loss.dynamics.functions(SAMPLES, torch.Generator().manual_seed(1))
     policy, *others = given
     consistent = sample_consistent_rollouts(
-        trainer.initial, policy, functions, *others, torch.Generator().manual_seed(2)
+        trainer.initial, policy, functions, SAMPLES, *others, torch.Generator().manual_seed(2)
     )
     steps = sample_rollouts(trainer.initial, *given, SAMPLES, torch.Generator().manual_seed(1))
     seen = rollouts["next", "observation"]

@@ -13,7 +13,8 @@ import torch
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import Targets
 from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.runs.summaries import read_summary

@@ -2,6 +2,7 @@
 
 from . import envs as envs
 from .control.known_part import KnownPart as KnownPart
+from .control.module_policy import ModulePolicy as ModulePolicy
 from .control.policy_file import (
     PolicyFileError as PolicyFileError,
     load_policy as load_policy,
@@ -39,6 +40,7 @@ from .gp.moment_accuracy import (
 from .gp.moment_matching import moment_match as moment_match
 from .model.dynamics import GPDynamics as GPDynamics
 from .model.experience import Experience as Experience
+from .model.own_dynamics import OwnDynamics as OwnDynamics
 from .model.particles import (
     ParticlePrediction as ParticlePrediction,
     sample_trajectories as sample_trajectories,
@@ -48,6 +50,7 @@ from .model.rollout import (
     predict_step as predict_step,
     predict_trajectory as predict_trajectory,
 )
+from .model.sampled_rollouts import SampledPrediction as SampledPrediction
 from .runs.pmil import PILCO as PILCO, PMIL as PMIL
 from .search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
 from .search.losses import TrajectoryKLLoss as TrajectoryKLLoss
@@ -57,10 +60,12 @@ from .search.policy_search import (
     SearchSettings as SearchSettings,
     search_policy as search_policy,
 )
+from .search.sampled_cost import ExpectedSampledCost as ExpectedSampledCost
 from .search.saturating_cost import (
     expected_saturating_cost as expected_saturating_cost,
 )
 from .search.target_costs import (
+    FunctionCost as FunctionCost,
     QuadraticCost as QuadraticCost,
     SaturatingCost as SaturatingCost,
 )

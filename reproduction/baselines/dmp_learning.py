@@ -20,7 +20,7 @@ from reproduction.baselines.learned_inverse_dynamics import (
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.model.dynamics import FitResult
+from torch_pmil.model.forward_model import FitResult
 
 # torques (*batch, F) at a step of the feedback in states (*batch, D)
 Controller = Callable[[int, Tensor], Tensor]

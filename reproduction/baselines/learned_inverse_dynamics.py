@@ -13,7 +13,8 @@ from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import FitResult
 
 POSITION_GAIN = 0.5  # N·m/rad, K_p of Eq. 29
 VELOCITY_GAIN = 0.25  # N·m s/rad, K_d

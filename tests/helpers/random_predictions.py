@@ -15,7 +15,8 @@ from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.gp.gaussian import Gaussian, symmetric
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import Targets
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss

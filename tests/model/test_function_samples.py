@@ -20,13 +20,13 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.function_samples import (
-    FunctionSamples,
+from torch_pmil.model.function_samples import FunctionSamples
+from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
+from torch_pmil.model.sampled_rollouts import (
     follow_functions,
     noise_of_steps,
     sample_consistent_rollouts,
 )
-from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 
 PLAIN = StateSpace(("a", "b"), ("", ""), (), joint_match(("a", "b"), ("", "")))
 SETS, OF_A_SET = 400, 250  # sets of frequencies, and functions that share one
@@ -74,7 +74,7 @@ def test_functions_have_the_posterior_mean_and_covariance_at_several_points(
     mean, cov = posterior_at(dynamics, POINTS)
     means, covs = [], []
     for _ in range(SETS):
-        functions = FunctionSamples.draw(dynamics, OF_A_SET, draws.generator)
+        functions = dynamics.functions(OF_A_SET, draws.generator)
         values = functions(POINTS.expand(OF_A_SET, -1, -1)) - mean.mT  # (N, P, E)
         means.append(values.mean(0).mT)
         covs.append(torch.einsum("npe,nqe->epq", values, values) / OF_A_SET)
@@ -87,7 +87,7 @@ def test_functions_have_the_posterior_mean_and_covariance_at_several_points(
 def test_functions_agree_where_there_are_data_and_differ_far_away(draws: Draws) -> None:
     """Near data their spread is at most that of the noise, far from them that of the prior."""
     dynamics = smooth_model(draws)
-    functions, f = FunctionSamples.draw(dynamics, 500, draws.generator), dynamics.expansion
+    functions, f = dynamics.functions(500, draws.generator), dynamics.expansion
     near = functions(f.inputs[:1].expand(500, -1))
     far = functions(torch.full((500, 2), 50.0, dtype=torch.float64))
     assert (near.std(0) < f.noise.sqrt()).all()
@@ -96,7 +96,7 @@ def test_functions_agree_where_there_are_data_and_differ_far_away(draws: Draws) 
 
 def test_functions_without_update_and_waves_give_the_mean_trajectory(draws: Draws) -> None:
     policy, dynamics = make_parts(draws)
-    drawn = FunctionSamples.draw(dynamics, 3, draws.generator)
+    drawn = dynamics.functions(3, draws.generator)
     f = dynamics.expansion
     mean = FunctionSamples(f, drawn.frequencies, 0 * drawn.weights, f.weights.expand(3, -1, -1))
     start, noise = draws.normal(3, 2), torch.zeros(3, 5, 2, dtype=torch.float64)
@@ -117,7 +117,8 @@ def test_one_step_has_the_moments_that_are_matched(draws: Draws) -> None:
             sample_consistent_rollouts(
                 state,
                 policy,
-                FunctionSamples.draw(dynamics, 200, draws.generator),
+                dynamics.functions(200, draws.generator),
+                200,
                 dynamics,
                 PLAIN,
                 1,
@@ -143,7 +144,7 @@ def test_kernels_and_formulas_agree(
     draws: Draws, batch: tuple[int, ...], units: Tensor | None
 ) -> None:
     policy, dynamics = moved_policy(draws)
-    functions = FunctionSamples.draw(dynamics, 7, draws.generator)
+    functions = dynamics.functions(7, draws.generator)
     start, results = draws.normal(7, *batch, 2), []
     noise = noise_of_steps(dynamics, (7, *batch, 5), draws.generator)
     for alone in (formulas_alone, kernels_alone):
@@ -160,7 +161,7 @@ def test_kernels_and_formulas_agree(
 
 def test_gradient_in_starts_and_policy(draws: Draws) -> None:
     policy, dynamics = moved_policy(draws)
-    functions = FunctionSamples.draw(dynamics, 3, draws.generator)
+    functions = dynamics.functions(3, draws.generator)
     noise = noise_of_steps(dynamics, (3, 4), draws.generator)
 
     def states(start: Tensor, centres: Tensor, weights: Tensor, log_widths: Tensor) -> Tensor:
@@ -178,7 +179,7 @@ def test_gradient_in_starts_and_policy(draws: Draws) -> None:
 def test_bound_shortens_the_cotangent_of_a_particle_that_tumbles_alone(draws: Draws) -> None:
     """To the norm one in these units; that of another particle stays as it is."""
     policy, dynamics = make_parts(draws)
-    functions, start = FunctionSamples.draw(dynamics, 2, draws.generator), draws.normal(2, 2)
+    functions, start = dynamics.functions(2, draws.generator), draws.normal(2, 2)
     noise = torch.zeros(2, 1, 2, dtype=torch.float64)
     weight = torch.tensor([1e6, 1e-6], dtype=torch.float64)
     units = torch.tensor([0.5, 2.0], dtype=torch.float64)
@@ -195,10 +196,10 @@ def test_bound_shortens_the_cotangent_of_a_particle_that_tumbles_alone(draws: Dr
 def test_rollouts_repeat_themselves_and_begin_at_the_start(draws: Draws) -> None:
     policy, dynamics = make_parts(draws)
     certain = Gaussian(draws.normal(2), torch.zeros(2, 2, dtype=torch.float64))
-    functions = FunctionSamples.draw(dynamics, 5, draws.generator)
+    functions = dynamics.functions(5, draws.generator)
     one, again = (
         sample_consistent_rollouts(
-            certain, policy, functions, dynamics, SPACE, 4, torch.Generator().manual_seed(3)
+            certain, policy, functions, 5, dynamics, SPACE, 4, torch.Generator().manual_seed(3)
         )
         for _ in range(2)
     )

@@ -20,7 +20,8 @@ from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import Targets, known_part
 from torch_pmil.model.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.model.rollout import PredictionError, predict_trajectory
 from torch_pmil.search.policy_search import SearchSettings, search_policy

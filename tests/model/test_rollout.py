@@ -22,7 +22,8 @@ from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model import rollout
-from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import Targets, known_part
 from torch_pmil.model.particles import sample_trajectories
 from torch_pmil.model.rollout import (
     PredictionError,

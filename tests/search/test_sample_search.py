@@ -39,8 +39,8 @@ def generator(seed: int = 0) -> torch.Generator:
 
 def test_cost_of_a_sample_is_the_logarithm_of_its_distance(draws: Draws) -> None:
     loss = make_kl(0)
-    states = draws.normal(5, loss.horizon, 2)
-    offset = loss.space.observe(states) - loss.demonstrated_mean
+    states = draws.normal(5, loss.horizon + 1, 2)
+    offset = loss.space.observe(states[:, 1:]) - loss.demonstrated_mean
     square = torch.einsum(
         "nti,tij,ntj->nt", offset, torch.linalg.inv(loss.demonstrated_cov), offset
     )
@@ -49,8 +49,9 @@ def test_cost_of_a_sample_is_the_logarithm_of_its_distance(draws: Draws) -> None
 
 def test_cost_of_a_sample_away_from_a_target_saturates(draws: Draws) -> None:
     loss = make_cost(0)
-    states = draws.normal(5, loss.horizon, 2)
-    expected = saturating_cost((loss.space.observe(states) - loss.target) @ loss.to_widths.mT)
+    states = draws.normal(5, loss.horizon + 1, 2)
+    apart = loss.space.observe(states[:, 1:]) - loss.target
+    expected = saturating_cost(apart @ loss.to_widths.mT)
     assert_close(loss.sample_costs(states), expected)
 
 
@@ -76,7 +77,8 @@ def test_expected_cost_is_that_of_the_predicted_marginals(seed: int) -> None:
     loss.actor_network.weights.data.copy_(0.3 * Draws(seed).normal(8, 1))
     with torch.no_grad():
         states = loss.predict_states(INITIAL).sample(20_000, generator())
-        costs = loss.sample_costs(states).sum(-1)
+        whole = torch.cat([torch.zeros_like(states[:, :1]), states], 1)
+        costs = loss.sample_costs(whole).sum(-1)
     judged = [expected_cost(loss, INITIAL, judge) for judge in range(20)]
     assert sum(judged) / len(judged) == pytest.approx(costs.mean().item(), rel=0.05)
 
@@ -136,10 +138,9 @@ def test_trial_keeps_what_keeps_the_promise_or_costs_less(
 def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None:
     loss = integrator()
     units = sample_search._units(loss, INITIAL, generator())
-    functions = sample_search.FunctionSamples.draw(
-        damped_integrator(), sample_search.PARTICLES, generator()
-    )
-    given = functions, loss.dynamics, loss.space, loss.horizon, generator()
+    count = sample_search.PARTICLES
+    functions = damped_integrator().functions(count, generator())
+    given = functions, count, loss.dynamics, loss.space, loss.horizon, generator()
     states = sample_search.sample_consistent_rollouts(INITIAL, loss.actor_network, *given)
     spread = states.flatten(0, -2).std(0)
     assert_close(units, sample_search.PARTICLES * spread, rtol=0.2, atol=0)

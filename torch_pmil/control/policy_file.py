@@ -11,9 +11,11 @@ entry               holds
 ``action_names``    names of the F actions; ``action_units`` holds their units, "" if not known
 ``control_period``  time for which the robot holds an action, s
 ``target_names``    names of the K entries of a target; absent if it has none
+``module``          a module of a user's own in words; absent for an :class:`RBFPolicy`
 ``parameters``      float64 tensors of :class:`RBFPolicy`: ``centres`` (m, D' + K) and
                     ``log_widths`` (F, D' + K) in multiples of ``scale`` (D' + K,), ``weights``
-                    (m, F), ``u_middle`` (F,) and ``u_max`` (F,) in the units of the actions
+                    (m, F), ``u_middle`` (F,) and ``u_max`` (F,) in the units of the actions; or
+                    the state of a :class:`ModulePolicy`
 ==================  ==============================================================================
 
 A file of version 1 has no names and units of actions and no ``u_middle``: its actions are torques
@@ -25,12 +27,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_finite_entries
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -49,7 +53,7 @@ class PolicyFileError(LineError):
 
 def save_policy(
     path: Path | str,
-    policy: RBFPolicy,
+    policy: AnyPolicy,
     space: StateSpace,
     control_period: float,
     target_names: Sequence[str] = (),
@@ -80,21 +84,27 @@ def save_policy(
         "action_units": list(actions.units),
         "control_period": float(control_period),
         **({"target_names": list(target_names)} if target_names else {}),
+        **({"module": str(policy.module)} if isinstance(policy, ModulePolicy) else {}),
         "parameters": {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()},
     }
     with replacing(path) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
 
 
-def load_policy(path: Path | str) -> StatePolicy:
+def load_policy(path: Path | str, policy: MakeModule | None = None) -> StatePolicy:
     """Load a policy that :func:`save_policy` or ``pmil train`` wrote, without executing anything.
+
+    Args:
+        path: the file.
+        policy: makes the module of a policy of your own, as for :class:`PMIL`: the file holds its
+            parameters alone.
 
     Returns:
         The policy on the CPU, without gradient. Its match space is the state itself.
 
     Raises:
         PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit
-            each other.
+            each other or the module.
         OSError: the file cannot be read.
 
     Example:
@@ -114,12 +124,39 @@ def load_policy(path: Path | str) -> StatePolicy:
         space = StateSpace(names, units, tuple(content["angles"]), joint_match(names, units))
         targets = content.get(OPTIONAL, [])
         inputs = len(space.feature_names) + len(targets)
-        network = policy_of(_entries(content["parameters"]), inputs)
+        network = _network(content, inputs, policy)
         limits = network.u_middle, network.u_max
         actions = ActionSpace.around(*limits, content["action_names"], content["action_units"])
         return StatePolicy(network, space, content["control_period"], targets, actions)
     except ValueError as error:
         raise PolicyFileError(f"{path}: {error}") from error
+
+
+def _network(content: Mapping[str, Any], inputs: int, make: MakeModule | None) -> AnyPolicy:
+    """The policy of a file's entries, which sees ``inputs`` features, without gradient."""
+    parameters, words = _entries(content["parameters"]), content.get("module")
+    if words is None:
+        return policy_of(parameters, inputs)
+    if make is None:
+        raise PolicyFileError(
+            "its policy is a module of your own, so load_policy(path, policy=...) needs the "
+            f"function that makes it: {short(words)}"
+        )
+    u_max = parameters.get("u_max")
+    if not (isinstance(u_max, Tensor) and u_max.ndim == 1 and is_whole(u_max)):
+        raise PolicyFileError(f"parameter u_max must be a tensor (F,), got {short(u_max)}")
+    ones = torch.ones(len(u_max), dtype=torch.float64)
+    network = ModulePolicy(make(inputs, len(ones)), inputs, ones, 0 * ones)
+    fresh = network.state_dict()
+    if parameters.keys() != fresh.keys():
+        raise PolicyFileError(
+            f"parameters must be those of the module, {_listed(fresh)}, got "
+            f"{_listed(parameters) or 'none'}"
+        )
+    for name, tensor in fresh.items():
+        _check_parameter(name, parameters[name], tuple(tensor.shape), tensor.dtype)
+    network.load_state_dict(parameters)
+    return network.requires_grad_(False)
 
 
 def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
@@ -223,10 +260,12 @@ def _check_entries(content: dict) -> None:
         raise PolicyFileError(f"entry parameters must be a dict of tensors, got {found}")
 
 
-def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
-    if not isinstance(value, Tensor) or value.dtype != torch.float64:
-        found = getattr(value, "dtype", type(value).__name__)
-        raise PolicyFileError(f"parameter {name} must be a float64 tensor, got {found}")
+def _check_parameter(
+    name: str, value: object, shape: tuple[int, ...], dtype: torch.dtype = torch.float64
+) -> None:
+    if not isinstance(value, Tensor) or value.dtype != dtype:
+        found, wanted = getattr(value, "dtype", type(value).__name__), str(dtype).split(".")[-1]
+        raise PolicyFileError(f"parameter {name} must be a {wanted} tensor, got {found}")
     if value.shape != shape:
         raise PolicyFileError(f"parameter {name} must have shape {shape}, got {tuple(value.shape)}")
     if not is_whole(value):

@@ -13,7 +13,6 @@ u_max (Eq. 27)        ``u_max`` (F,), around ``u_middle`` (F,)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -26,14 +25,6 @@ from torch_pmil.gp.trigonometry import squash
 
 # bound of the sine when Eq. 27 is inverted, since its slope at 1 is zero
 MAX_SINE = 0.999
-
-
-class Policy(Protocol):
-    """Anything that gives a controller to a prediction."""
-
-    @property
-    def controller(self) -> Controller:
-        """Controller of one state, or of N states for N targets."""
 
 
 class RBFPolicy(nn.Module):
@@ -86,6 +77,11 @@ class RBFPolicy(nn.Module):
         self.centres = nn.Parameter(centres.double() / self.scale)
         self.weights = nn.Parameter(torch.zeros(m, len(u_max), dtype=torch.float64))
         self.log_widths = nn.Parameter(torch.zeros(len(u_max), inputs, dtype=torch.float64))
+
+    @property
+    def num_inputs(self) -> int:
+        """Number D' of features that it sees, and of a target's entries."""
+        return len(self.scale)
 
     @property
     def controller(self) -> Controller:

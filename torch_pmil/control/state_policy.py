@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +14,9 @@ from torch import Tensor, nn
 
 from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.rbf_policy import Controller, RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
+from torch_pmil.control.policy import Act
+from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace, with_unit
 from torch_pmil.files import replacing
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -43,7 +46,7 @@ class StatePolicy(nn.Module):
             missing or too much.
 
     Example:
-        >>> from torch_pmil.control.state_space import joint_match
+        >>> from torch_pmil import RBFPolicy, joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
         >>> network = RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3))
@@ -54,7 +57,7 @@ class StatePolicy(nn.Module):
 
     def __init__(
         self,
-        policy: RBFPolicy,
+        policy: AnyPolicy,
         space: StateSpace,
         control_period: float,
         target_names: Sequence[str] = (),
@@ -62,9 +65,9 @@ class StatePolicy(nn.Module):
     ) -> None:
         super().__init__()
         inputs = (*space.feature_names, *target_names)
-        if len(policy.scale) != len(inputs):
+        if policy.num_inputs != len(inputs):
             raise ValueError(
-                f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} "
+                f"policy must see the features {', '.join(inputs)}, got one of {policy.num_inputs} "
                 "features"
             )
         check_positive("control_period (s)", control_period)
@@ -176,15 +179,18 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
     return not (state.is_complex() or state.dtype == torch.bool)
 
 
-def _constant(controller: Controller) -> Controller:
+def _constant(controller: Act) -> Act:
     """This controller with tensors on the CPU that are neither parameters nor views."""
+    if isinstance(controller, nn.Module):
+        return copy.deepcopy(controller).cpu().requires_grad_(False)
+    assert isinstance(controller, Controller)
 
-    def copy(tensor: Tensor) -> Tensor:
+    def constant(tensor: Tensor) -> Tensor:
         return tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
 
     parameters = *controller.parameters, controller.network.signal_variance
-    network = KernelExpansion(*map(copy, parameters))
-    return Controller(network, copy(controller.u_max), copy(controller.u_middle))
+    network = KernelExpansion(*map(constant, parameters))
+    return Controller(network, constant(controller.u_max), constant(controller.u_middle))
 
 
 def _same_range(actions: ActionSpace, others: ActionSpace) -> bool:
@@ -195,7 +201,7 @@ def _same_range(actions: ActionSpace, others: ActionSpace) -> bool:
 class _Program(nn.Module):
     """The exported program: no Python decides, so the checks are operations of the graph."""
 
-    def __init__(self, controller: Controller, space: StateSpace) -> None:
+    def __init__(self, controller: Act, space: StateSpace) -> None:
         super().__init__()
         self.controller, self.space = controller, space
 

@@ -10,12 +10,12 @@ from torch import Tensor
 from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 
 
 @torch.no_grad()
 def standardised_residuals(
-    dynamics: GPDynamics, space: StateSpace, states: Tensor, actions: Tensor
+    dynamics: ForwardModel, space: StateSpace, states: Tensor, actions: Tensor
 ) -> Tensor:
     r"""Errors of the one-step prediction at executed transitions, in predicted standard deviations.
 
@@ -38,6 +38,7 @@ def standardised_residuals(
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
+        >>> from torch_pmil.model.dynamics import GPDynamics
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> dynamics = GPDynamics(num_inputs=2, num_outputs=1)
         >>> dynamics.set_data(torch.zeros(2, 2), torch.zeros(2, 1))
@@ -46,9 +47,9 @@ def standardised_residuals(
         torch.Size([4, 2, 1])
     """
     before, known = states[..., :-1, :], dynamics.known_part(space)
-    mean, variance = dynamics.expansion.predict(torch.cat([space.features(before), actions], -1))
+    mean, variance = dynamics.predict(torch.cat([space.features(before), actions], -1))
     error = states[..., 1:, :] - known.successors(before, actions, mean)
-    std = ((variance + dynamics.expansion.noise) @ known.gain.square().mT).sqrt()
+    std = ((variance + dynamics.noise) @ known.gain.square().mT).sqrt()
     return torch.where(known.uncertain, error / std, 0.0)
 
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import gpytorch
 import torch
 from gpytorch.constraints import Positive
-from torch import Tensor, nn
+from torch import Tensor
 
-from torch_pmil.checks import check_finite_entries, check_real, check_whole
-from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.state_space import StateSpace
+from torch_pmil.checks import check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.hyperparameters import (
     MOST_SIGNAL_TO_NOISE,
@@ -27,8 +24,8 @@ from torch_pmil.gp.hyperparameters import (
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
 from torch_pmil.gp.sparse_posterior import inducing_data, sparse_posterior
-
-Targets = KnownPart | Literal["difference", "successor"]
+from torch_pmil.model.forward_model import FitResult, ForwardModel, Targets
+from torch_pmil.model.function_samples import FunctionSamples
 
 RESTART_GROWTH = 1.25  # of the data, after which all starts are searched again
 MOST_EXACT = 1000  # data of an exact posterior
@@ -60,35 +57,14 @@ class _BatchGP(gpytorch.models.ExactGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult:
-    """Outcome of a fit of the hyper-parameters.
-
-    Args:
-        negative_log_likelihood: nats of each output, (E,), without penalties.
-        evaluations: of one output's likelihood, over all outputs and starts.
-        seconds: wall time.
-        stop_reason: why the best search of each output ended, as in ``MinimiseResult``.
-    """
-
-    negative_log_likelihood: Tensor
-    evaluations: int
-    seconds: float
-    stop_reason: tuple[str, ...]
-
-
-class GPDynamics(nn.Module):
+class GPDynamics(ForwardModel):
     r"""GP model of :math:`x_{t+1}` given features of the state and the action (Eqs. 2-7).
 
     Hyper-parameters, in the units of inputs and squared targets, are the ``lengthscale``,
     ``outputscale`` and ``noise`` of the GPyTorch model ``gp``.
 
     Args:
-        num_inputs: number D' + F of features and actions.
-        num_outputs: number E of outputs: that of the known part.
-        targets: what is known of x_{t+1}, so that the rest is learned. "difference" is short for
-            :meth:`KnownPart.of_differences` (the prior mean is then that the state stays where it
-            is), "successor" for :meth:`KnownPart.of_successors` (Eq. 2).
+        num_inputs, num_outputs, targets: as in :class:`ForwardModel`.
         most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised, since
             the rounding of moments grows with its square.
         most_exact: number of data up to which the posterior is exact. Beyond, it is sparse
@@ -107,9 +83,7 @@ class GPDynamics(nn.Module):
         True
     """
 
-    train_inputs: Tensor
-    train_targets: Tensor
-    position_rule: Tensor
+    has_moments: ClassVar[bool] = True
     searched_size: Tensor
 
     def __init__(
@@ -122,48 +96,24 @@ class GPDynamics(nn.Module):
         num_inducing: int = INDUCING,
         tied_lengthscales: bool = False,
     ) -> None:
-        super().__init__()
-        sizes = {"num_inputs": num_inputs, "num_outputs": num_outputs}
-        for name, value in (sizes | {"num_inducing": num_inducing}).items():
-            check_whole(name, value, 1)
+        super().__init__(num_inputs, num_outputs, targets)
+        check_whole("num_inducing", num_inducing, 1)
         check_whole("most_exact", most_exact, num_inducing)
-        known = known_part(targets, num_outputs)
-        if known.num_outputs != num_outputs:
-            raise ValueError(
-                f"num_outputs must be the {known.num_outputs} of the known part, got {num_outputs}"
-            )
-        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, known
         self.most_signal_to_noise = most_signal_to_noise
         self.most_exact, self.num_inducing = most_exact, num_inducing
         self.tied_lengthscales = tied_lengthscales
         self.gp = _BatchGP(
             torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
         ).double()
-        self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
-        self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
-        if known.followed:
-            self.register_buffer("position_rule", known.rule)
         # number of data at the last fit from all starts
         self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
 
     @property
-    def dim(self) -> int:
-        """Number of entries of the state D."""
-        return self.targets.dim
-
-    def known_part(self, space: StateSpace) -> KnownPart:
-        """What is known of the next state in a space of as many entries."""
-        return self.targets.for_actions(self.num_inputs - len(space.feature_names))
-
-    @property
     def expansion(self) -> KernelExpansion:
         """The posterior with its cached K^-1 and beta, without graph; RuntimeError before data."""
         if self._expansion is None:
-            if len(self.train_inputs) == 0:
-                raise RuntimeError(
-                    "the dynamics model has no data yet: call fit(inputs, targets) first"
-                )
+            self._check_has_data()
             exact = KernelExpansion.from_exact_gp
             with torch.no_grad():
                 self._expansion = self._sparse_expansion() if self.sparse else exact(self.gp)
@@ -189,12 +139,10 @@ class GPDynamics(nn.Module):
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
         """Take finite data (n, D' + F) and (n, E), and keep the hyper-parameters."""
-        self._check_data(inputs, targets)
-        if not self._continued_by(inputs, targets):
+        before = self.train_inputs, self.train_targets
+        super().set_data(inputs, targets)
+        if not self._continues(*before):
             self.searched_size.zero_()
-        self.train_inputs, self.train_targets = (
-            data.detach().to(torch.float64, copy=True) for data in (inputs, targets)
-        )
         self.gp.set_train_data(
             self.train_inputs.expand(self.num_outputs, -1, -1),
             self.train_targets.mT.contiguous(),
@@ -202,14 +150,32 @@ class GPDynamics(nn.Module):
         )
         self._expansion = None
 
-    def fit_known_part(self, states: Tensor, successors: Tensor) -> None:
-        """Learn from transitions (n, D) how positions follow from velocities, if any do."""
-        if self.targets.followed:
-            self._take_rule(self.targets.fitted_rule(states, successors))
+    @property
+    def noise(self) -> Tensor:
+        """Noise variances (E,)."""
+        return self.expansion.noise
 
-    def _take_rule(self, rule: Tensor) -> None:
-        self.targets = self.targets.with_rule(rule)
-        self.position_rule = rule.to(self.position_rule)
+    @property
+    def prior_variance(self) -> Tensor:
+        """Signal variances (E,)."""
+        return self.expansion.signal_variance
+
+    @property
+    def lengthscales(self) -> Tensor:
+        """Lengthscales (E, D' + F)."""
+        return self.expansion.lengthscales
+
+    def predict(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """The posterior's mean and variance (*batch, E), without noise (Eqs. 6 and 7)."""
+        return self.expansion.predict(inputs)
+
+    def mean(self, inputs: Tensor) -> Tensor:
+        """The posterior's mean (*batch, E), which costs O(n)."""
+        return self.expansion.mean(inputs)
+
+    def functions(self, count: int, generator: torch.Generator) -> FunctionSamples:
+        """Functions drawn from the posterior, see :class:`FunctionSamples`."""
+        return FunctionSamples.draw(self.expansion, self.sparse, count, generator)
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
         """Maximise the marginal likelihood of each output by L-BFGS; tied outputs go together.
@@ -266,11 +232,11 @@ class GPDynamics(nn.Module):
         starts = ([last] if fitted else []) + pilco_starts(inputs, targets)
         return find_hyperparameters(inputs, targets, starts, *limits)
 
-    def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
-        """Whether new data begin with the present ones."""
-        n = len(self.train_inputs)
-        same_inputs = torch.equal(inputs[:n], self.train_inputs)
-        return same_inputs and torch.equal(targets[:n], self.train_targets)
+    def _continues(self, inputs: Tensor, targets: Tensor) -> bool:
+        """Whether the data begin with these."""
+        n = len(inputs)
+        same_inputs = torch.equal(self.train_inputs[:n], inputs)
+        return same_inputs and torch.equal(self.train_targets[:n], targets)
 
     def _raw_parameters(self) -> list[Tensor]:
         """Logarithms of lengthscales (E, D), signal and noise variances (E, 1), as views."""
@@ -287,44 +253,10 @@ class GPDynamics(nn.Module):
         for parameter, value in zip(self._raw_parameters(), parts, strict=True):
             parameter.copy_(value)
 
-    def _check_data(self, inputs: Tensor, targets: Tensor) -> None:
-        check_real("inputs", inputs)
-        check_real("targets", targets)
-        n = inputs.shape[0] if inputs.ndim else 0
-        if inputs.shape != (n, self.num_inputs) or targets.shape != (n, self.num_outputs) or n < 2:
-            raise ValueError(
-                f"expected inputs (n, {self.num_inputs}) and targets (n, {self.num_outputs}) with "
-                f"n >= 2, got {tuple(inputs.shape)} and {tuple(targets.shape)}"
-            )
-        check_finite_entries("inputs", inputs)
-        check_finite_entries("targets", targets)
-
     def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> GPDynamics:
         self._expansion = None  # on the former device
         return super()._apply(function, recurse)
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        inputs = state_dict.get(prefix + "train_inputs")
-        targets = state_dict.get(prefix + "train_targets")
-        if inputs is not None and targets is not None and len(inputs):
-            self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)
-        if prefix + "position_rule" in state_dict and hasattr(self, "position_rule"):
-            self._take_rule(self.position_rule.clone())
         self._expansion = None
-
-
-def known_part(targets: Targets, dim: int) -> KnownPart:
-    """What is known of the next state of D entries by targets, which may be a word.
-
-    Raises ValueError at another word.
-    """
-    if isinstance(targets, KnownPart):
-        return targets
-    words = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
-    if targets not in tuple(words):
-        raise ValueError(
-            f'targets must be "difference" or "successor", got {targets!r}, which is not a '
-            "KnownPart either"
-        )
-    return words[targets](dim)

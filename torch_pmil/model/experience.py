@@ -16,7 +16,7 @@ from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
 from torch_pmil.checks import check_finite_entries, check_whole
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
+from torch_pmil.model.forward_model import ForwardModel, Targets, known_part
 
 FEWEST_TRANSITIONS = 2  # for a model
 KEYS = ("observation", "action", ("next", "observation"))
@@ -109,14 +109,14 @@ class Experience:
 
         Args:
             space: the robot's state space.
-            targets: what a model learns, as in :class:`GPDynamics`.
+            targets: what a model learns, as in :class:`ForwardModel`.
 
         Raises:
             ValueError: there is no transition, or shapes do not fit.
         """
         return gp_data(*self._parts(), space, targets)
 
-    def data_for(self, dynamics: GPDynamics, space: StateSpace) -> tuple[Tensor, Tensor]:
+    def data_for(self, dynamics: ForwardModel, space: StateSpace) -> tuple[Tensor, Tensor]:
         """:meth:`training_data` of a model, whose known part first learns from the same data."""
         states, actions, successors = self._parts()
         dynamics.fit_known_part(states, successors)

@@ -1,29 +1,20 @@
-r"""Functions drawn from a posterior, and trajectories of which each follows one of them.
+r"""Functions drawn from a posterior by pathwise conditioning (Wilson et al. 2020).
 
-A particle that draws its next state anew at each step forgets what the dynamics were where it was
-before. Here each particle keeps its function. It is drawn by pathwise conditioning (Wilson et al.
-2020): a function of the prior, from random Fourier features, and the exact update that the data
-make to it. A particle then costs O(n) a step, not O(n²).
+A function of the prior, from random Fourier features, gets the exact update that the data make to
+it. A value then costs O(n), not O(n²).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.rbf_policy import Controller, Policy
-from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
+from torch_pmil.gp.gaussian import normal, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.kernel_pairs import gram
-from torch_pmil.model.compiled import kernels
-from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import check_start_belief, compiled_plan
 
 FREQUENCIES = 100  # the prior's covariances are then off by a tenth of its variance
 
@@ -51,9 +42,10 @@ class FunctionSamples:
 
     Example:
         >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
+        >>> from torch_pmil.model.dynamics import GPDynamics
         >>> model = GPDynamics(num_inputs=1, num_outputs=1)
         >>> _ = model.fit(x, x.sin())
-        >>> functions = FunctionSamples.draw(model, 50, torch.Generator().manual_seed(0))
+        >>> functions = model.functions(50, torch.Generator().manual_seed(0))
         >>> at_zero = functions(torch.zeros(50, 1, dtype=torch.float64))
         >>> at_zero.shape, bool(at_zero.mean().abs() < 1e-2)
         (torch.Size([50, 1]), True)
@@ -66,13 +58,11 @@ class FunctionSamples:
 
     @classmethod
     @torch.no_grad()
-    def draw(cls, dynamics: GPDynamics, count: int, generator: torch.Generator) -> FunctionSamples:
-        """Draw functions from the posterior of a model.
-
-        Raises ValueError if the count is less than one, RuntimeError if the model has no data.
-        """
+    def draw(
+        cls, expansion: KernelExpansion, sparse: bool, count: int, generator: torch.Generator
+    ) -> FunctionSamples:
+        """Draw from an exact or sparse posterior; raises ValueError if the count is below one."""
         check_whole("count", count, 1)
-        expansion = dynamics.expansion
         inputs, inverse, E = expansion.inputs, expansion.gram_inverse, expansion.num_outputs
         assert inverse is not None  # it is the posterior of a GP
         shape = E, FREQUENCIES, expansion.num_inputs
@@ -81,7 +71,7 @@ class FunctionSamples:
         weights = scale[:, None] * normal((count, E, 2 * FREQUENCIES), inputs, generator)
         prior = weights.transpose(0, 1) @ _features(frequencies, inputs).mT  # (E, N, n)
         white = normal(prior.shape, inputs, generator)
-        root = _root_of_sparse(expansion) if dynamics.sparse else _root_of_exact(expansion)
+        root = _root_of_sparse(expansion) if sparse else _root_of_exact(expansion)
         changes = prior @ inverse + white @ root
         updates = (expansion.weights[:, None] - changes).transpose(0, 1).contiguous()
         return cls(expansion, frequencies, weights, updates)
@@ -116,101 +106,3 @@ def _root_of_sparse(expansion: KernelExpansion) -> Tensor:
     between = gram(inputs, inputs, expansion.lengthscales, expansion.signal_variance)
     values, vectors = torch.linalg.eigh(symmetric(inverse - inverse @ between @ inverse))
     return values.clamp(min=0).sqrt()[..., None] * vectors.mT
-
-
-class _Bounded(torch.autograd.Function):
-    """States (*batch, D), whose cotangents are shortened to a norm of one in given units (D,)."""
-
-    @staticmethod
-    def forward(ctx: Any, states: Tensor, units: Tensor) -> Tensor:
-        ctx.save_for_backward(units)
-        return states.clone()
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        (units,) = ctx.saved_tensors
-        return gradient / (gradient * units).norm(dim=-1, keepdim=True).clamp(min=1), None
-
-
-def follow_functions(
-    start: Tensor,
-    policy: Policy,
-    functions: FunctionSamples,
-    dynamics: GPDynamics,
-    space: StateSpace,
-    noise: Tensor,
-    units: Tensor | None = None,
-) -> Tensor:
-    r"""States at t = 1..T, (N, \*batch, T, D), of particles that each follow one function.
-
-    Args:
-        start: states (N, \*batch, D), of a batch as the policy takes it.
-        policy, dynamics, space: as in :func:`~torch_pmil.model.rollout.predict_trajectory`.
-        functions: N samples of the posterior of ``dynamics``.
-        noise: added to the outputs of the model, (N, \*batch, T, E).
-        units: bound of the gradient, (D,): before each step it is shortened for each particle to
-            the norm one when the state is in these units. A trajectory that tumbles would otherwise
-            drown the others. None leaves it exact.
-    """
-    T, D = noise.shape[-2], start.shape[-1]
-    states = start.reshape(len(start), -1, D)
-    of_steps = noise.reshape(*states.shape[:2], *noise.shape[-2:])
-    units = states.new_zeros(D) if units is None else units
-    some = Gaussian(states[0], torch.eye(D).to(states).expand(states.shape[1], D, D))
-    plan = compiled_plan(some, policy, dynamics, space, T)
-    if plan is None:
-        parts = policy.controller, functions, dynamics, space
-        followed = _followed(states, *parts, of_steps, units)
-    else:
-        followed = kernels().follow_functions(states, plan, functions, of_steps, units)
-    return followed.reshape(*start.shape[:-1], T, D)
-
-
-def _followed(
-    state: Tensor,
-    controller: Controller,
-    functions: FunctionSamples,
-    dynamics: GPDynamics,
-    space: StateSpace,
-    noise: Tensor,
-    units: Tensor,
-) -> Tensor:
-    """:func:`follow_functions` of a batch (N, B) by the formulas in PyTorch."""
-    states, known = [], dynamics.known_part(space)
-    for t in range(noise.shape[-2]):
-        features = space.features(state)
-        action = controller(features)
-        outputs = functions(torch.cat([features, action], -1)) + noise[..., t, :]
-        state = _Bounded.apply(known.successors(state, action, outputs), units)
-        states.append(state)
-    return torch.stack(states, -2)
-
-
-def sample_consistent_rollouts(
-    initial: Gaussian,
-    policy: Policy,
-    functions: FunctionSamples,
-    dynamics: GPDynamics,
-    space: StateSpace,
-    horizon: int,
-    generator: torch.Generator,
-) -> Tensor:
-    """States at t = 0..T, (N, *batch, T + 1, D), of particles from p(x_0) with the model's noise.
-
-    Each follows its function. Otherwise as :func:`~torch_pmil.model.particles.sample_rollouts`.
-    """
-    check_start_belief(initial, "initial", dynamics, space)
-    check_whole("horizon", horizon, 1)
-    start = initial.sample(len(functions), generator)
-    noise = noise_of_steps(dynamics, (*start.shape[:-1], horizon), generator)
-    states = follow_functions(start, policy, functions, dynamics, space, noise)
-    return torch.cat([start[..., None, :], states], -2)
-
-
-def noise_of_steps(
-    dynamics: GPDynamics, shape: tuple[int, ...], generator: torch.Generator
-) -> Tensor:
-    """Draws of the model's noise, (*shape, E)."""
-    std = dynamics.expansion.noise.sqrt()
-    return std * normal((*shape, len(std)), std, generator)

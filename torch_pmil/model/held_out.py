@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import gp_data
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.particles import sample_outputs
 
 FOLDS = 4  # consecutive parts of the motion, each predicted from the others
@@ -17,7 +17,7 @@ SEED = 0  # of the particles: models are compared under the same random numbers
 
 @torch.no_grad()
 def held_out_loss(
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     states: Tensor,
     actions: Tensor,
     space: StateSpace,
@@ -51,6 +51,7 @@ def held_out_loss(
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
+        >>> from torch_pmil.model.dynamics import GPDynamics
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> u = torch.randn(40, 1, generator=torch.Generator().manual_seed(0)).double()
         >>> q = torch.cat([torch.zeros(1, 1), 0.1 * u.cumsum(0)])
@@ -82,14 +83,13 @@ def held_out_loss(
     return torch.cat(nats).mean().item()
 
 
-def _followed(dynamics: GPDynamics, starts: Tensor, actions: Tensor, space: StateSpace) -> Tensor:
+def _followed(dynamics: ForwardModel, starts: Tensor, actions: Tensor, space: StateSpace) -> Tensor:
     """Particles (PARTICLES, S, D) that began at starts (S, D) and followed actions (S, s, F)."""
     generator = torch.Generator().manual_seed(SEED)
-    known, expansion = dynamics.known_part(space), dynamics.expansion
-    state = starts.expand(PARTICLES, -1, -1)
+    known, state = dynamics.known_part(space), starts.expand(PARTICLES, -1, -1)
     for action in actions.unbind(1):
         action = action.expand(PARTICLES, -1, -1)
         inputs = torch.cat([space.features(state), action], -1)
-        outputs = sample_outputs(expansion, inputs, generator)
+        outputs = sample_outputs(dynamics, inputs, generator)
         state = known.successors(state, action, outputs)
     return state

@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.rbf_policy import Policy
+from torch_pmil.control.policy import Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
-from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.rollout import check_finite, check_start_belief
 from torch_pmil.seeds import LARGEST_SEED
 
@@ -20,7 +19,7 @@ from torch_pmil.seeds import LARGEST_SEED
 def sample_trajectories(
     initial: Gaussian,
     policy: Policy,
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     space: StateSpace,
     horizon: int,
     count: int,
@@ -56,7 +55,7 @@ def sample_trajectories(
 def sample_rollouts(
     initial: Gaussian,
     policy: Policy,
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     space: StateSpace,
     horizon: int,
     count: int,
@@ -68,28 +67,27 @@ def sample_rollouts(
     check_whole("horizon", horizon, 1)
     check_whole("count", count, 1)
     controller, state = policy.controller, initial.sample(count, generator)
-    states, expansion = [state], dynamics.expansion
-    known = dynamics.known_part(space)
+    states, known = [state], dynamics.known_part(space)
     for _ in range(horizon):
         features = space.features(state)
         action = controller(features)
         inputs = torch.cat([features, action], -1)
-        outputs = sample_outputs(expansion, inputs, generator, observation_noise)
+        outputs = sample_outputs(dynamics, inputs, generator, observation_noise)
         state = known.successors(state, action, outputs)
         states.append(state)
     return torch.stack(states, -2)
 
 
 def sample_outputs(
-    expansion: KernelExpansion,
+    dynamics: ForwardModel,
     inputs: Tensor,
     generator: torch.Generator,
     observation_noise: bool = True,
 ) -> Tensor:
-    """Outputs (*batch, E) drawn from a posterior at inputs (*batch, D' + F)."""
-    mean, variance = expansion.predict(inputs)
+    """Outputs (*batch, E) drawn anew at inputs (*batch, D' + F)."""
+    mean, variance = dynamics.predict(inputs)
     if observation_noise:
-        variance = variance + expansion.noise
+        variance = variance + dynamics.noise
     return mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
 
 
@@ -107,7 +105,7 @@ class ParticlePrediction:
         seed: seed of the random numbers.
 
     Example:
-        >>> from torch_pmil import RBFPolicy, joint_match
+        >>> from torch_pmil import GPDynamics, RBFPolicy, joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
         >>> dynamics = GPDynamics(2, 1)
@@ -128,7 +126,7 @@ class ParticlePrediction:
         self,
         initial: Gaussian,
         policy: Policy,
-        dynamics: GPDynamics,
+        dynamics: ForwardModel,
         space: StateSpace,
         horizon: int,
     ) -> Gaussian:
@@ -138,12 +136,12 @@ class ParticlePrediction:
             PredictionError: names the time step and the state that is not finite.
         """
         draws = self.count, torch.Generator().manual_seed(self.seed)
-        trajectory = _fitted(sample_trajectories(initial, policy, dynamics, space, horizon, *draws))
+        trajectory = fitted(sample_trajectories(initial, policy, dynamics, space, horizon, *draws))
         check_finite(trajectory, space)
         return trajectory
 
 
-def _fitted(samples: Tensor) -> Gaussian:
+def fitted(samples: Tensor) -> Gaussian:
     """Mean and unbiased covariance of samples (N, *batch, D)."""
     mean = samples.mean(0)
     deviation = samples - mean

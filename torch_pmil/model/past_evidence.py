@@ -10,8 +10,9 @@ from torch import Tensor
 
 from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import gp_data
+from torch_pmil.model.forward_model import Targets
 
 FARTHEST = 6  # periods
 # nats that each further action or reading in the state must gain: odds of twenty to one

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.rbf_policy import Controller, Policy
+from torch_pmil.control.policy import Act, Policy
+from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import (
     Gaussian,
@@ -23,6 +24,7 @@ from torch_pmil.gp.moment_matching import exact_moments, moment_match
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Plan
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 
 
 class PredictionError(RuntimeError):
@@ -112,7 +114,7 @@ def successor_belief(
 def predict_trajectory(
     initial: Gaussian,
     policy: Policy,
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     space: StateSpace,
     horizon: int,
     observation_noise: bool = True,
@@ -132,6 +134,7 @@ def predict_trajectory(
         ValueError: ``initial`` does not fit the state, its mean is not finite, or there is no step.
         PredictionError: names the time step and the matrix that has no Cholesky factor, or the
             state that is not finite.
+        TypeError: policy or model has no moments in closed form.
     """
     try:
         check_start_belief(initial, "initial", dynamics, space)
@@ -139,12 +142,16 @@ def predict_trajectory(
         raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
     check_whole("horizon", horizon, 1)
     start, controller = initial.flattened, policy.controller
-    trajectory = None
-    if _compiled(start.mean, start.cov, controller, dynamics, space):
-        plan = _plan(controller, dynamics, space, horizon, observation_noise)
-        trajectory = kernels().predict_beliefs(start, plan)
+    if not (isinstance(controller, Controller) and isinstance(dynamics, GPDynamics)):
+        raise TypeError(
+            "moments are known of an RBFPolicy and a GPDynamics alone, got "
+            f"{type(policy).__name__} and {type(dynamics).__name__}: predict by SampledPrediction()"
+        )
+    given = controller, dynamics, space, horizon, observation_noise
+    plan = _compiled(start.mean, start.cov, *given)
+    trajectory = None if plan is None else kernels().predict_beliefs(start, plan)
     if trajectory is None:
-        trajectory = _trajectory(start, controller, dynamics, space, horizon, observation_noise)
+        trajectory = _trajectory(start, *given)
     shape = initial.batch_shape
     return Gaussian(*(t.reshape(*shape, *t.shape[1:]) for t in (trajectory.mean, trajectory.cov)))
 
@@ -182,7 +189,7 @@ def _trajectory(
 
 
 def check_start_belief(
-    belief: Gaussian, name: str, dynamics: GPDynamics, space: StateSpace
+    belief: Gaussian, name: str, dynamics: ForwardModel, space: StateSpace
 ) -> None:
     """Raise ValueError or NotPositiveDefiniteError unless this is a valid belief over the state."""
     check_belief(belief, name, dynamics.train_inputs)
@@ -214,7 +221,7 @@ def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
 
 
 def predict_mean_trajectory(
-    initial: Tensor, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int
+    initial: Tensor, policy: Policy, dynamics: ForwardModel, space: StateSpace, horizon: int
 ) -> Tensor:
     """Trajectory of the model's mean alone, as if nothing were uncertain: O(n) a step.
 
@@ -223,41 +230,47 @@ def predict_mean_trajectory(
     check_tensor("initial", initial, ("*batch", space.dim))
     check_whole("horizon", horizon, 1)
     start, controller = initial.reshape(-1, space.dim), policy.controller
-    if _compiled(start, start, controller, dynamics, space):
-        states = kernels().predict_states(start, _plan(controller, dynamics, space, horizon))
-    else:
+    plan = _compiled(start, start, controller, dynamics, space, horizon)
+    if plan is None:
         states = _mean_trajectory(start, controller, dynamics, space, horizon)
+    else:
+        states = kernels().predict_states(start, plan)
     return states.reshape(*initial.shape[:-1], horizon, space.dim)
 
 
 def _mean_trajectory(
-    state: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace, horizon: int
+    state: Tensor, controller: Act, dynamics: ForwardModel, space: StateSpace, horizon: int
 ) -> Tensor:
-    states, expansion = [], dynamics.expansion
-    known = dynamics.known_part(space)
+    states, known = list[Tensor](), dynamics.known_part(space)
     for _ in range(horizon):
         features = space.features(state)
         action = controller(features)
-        outputs = expansion.mean(torch.cat([features, action], -1))
+        outputs = dynamics.mean(torch.cat([features, action], -1))
         state = known.successors(state, action, outputs)
         states.append(state)
     return torch.stack(states, -2)
 
 
 def compiled_plan(
-    initial: Gaussian, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int
+    initial: Gaussian, policy: Policy, dynamics: ForwardModel, space: StateSpace, horizon: int
 ) -> Plan | None:
     """What the kernels predict from one belief, mean (D,), if they do."""
-    start, controller = initial.flattened, policy.controller
-    if not _compiled(start.mean, start.cov, controller, dynamics, space):
-        return None
-    return _plan(controller, dynamics, space, horizon)
+    start = initial.flattened
+    return _compiled(start.mean, start.cov, policy.controller, dynamics, space, horizon)
 
 
 def _compiled(
-    mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
-) -> bool:
-    """Whether the kernels, which check no shapes themselves, predict these trajectories."""
+    mean: Tensor,
+    cov: Tensor,
+    controller: Act,
+    dynamics: ForwardModel,
+    space: StateSpace,
+    horizon: int,
+    observation_noise: bool = True,
+) -> Plan | None:
+    """The plan of these trajectories for the kernels, which check no shapes, or None."""
+    if not (isinstance(controller, Controller) and isinstance(dynamics, GPDynamics)):
+        return None
     f, network, F = dynamics.expansion, controller.network, len(controller.u_max)
     features, offset = len(space.feature_names), torch.as_tensor(network.offset, dtype=mean.dtype)
     fit = (
@@ -268,15 +281,6 @@ def _compiled(
         and (f.gram_inverse is not None and network.gram_inverse is None)
     )
     constant = *f.tensors, controller.u_max, controller.u_middle, network.signal_variance, offset
-    return fit and serves(constant, (mean, cov, *controller.parameters))
-
-
-def _plan(
-    controller: Controller,
-    dynamics: GPDynamics,
-    space: StateSpace,
-    horizon: int,
-    observation_noise: bool = True,
-) -> Plan:
-    known = dynamics.known_part(space)
-    return Plan(dynamics.expansion, known, space, controller, horizon, observation_noise)
+    if not (fit and serves(constant, (mean, cov, *controller.parameters))):
+        return None
+    return Plan(f, dynamics.known_part(space), space, controller, horizon, observation_noise)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.control.state_space import with_unit
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.plotting.style import (
     BAND,
     DARK,
@@ -35,7 +35,7 @@ def draw_uncertainty(panel: Axes, x: np.ndarray, mean: np.ndarray, std: np.ndarr
 
 @torch.no_grad()
 def plot_gp_slices(
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     point: Tensor,
     input_names: Sequence[str],
     output_names: Sequence[str],
@@ -64,6 +64,7 @@ def plot_gp_slices(
 
     Example:
         >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
+        >>> from torch_pmil import GPDynamics
         >>> dynamics = GPDynamics(num_inputs=1, num_outputs=1)
         >>> fit = dynamics.fit(x, x.sin())
         >>> figure = plot_gp_slices(dynamics, torch.zeros(1), ["u (N·m)"], ["q"], ["rad"])
@@ -87,13 +88,15 @@ def plot_gp_slices(
     return figure
 
 
-def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+def _draw_slice(
+    panel: Axes, dynamics: ForwardModel, point: Tensor, entry: int, output: int
+) -> None:
     """Draw one output over one input."""
     style(panel)
-    grid = _grid(dynamics.expansion.inputs[:, entry])
-    mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
+    grid = _grid(dynamics.train_inputs[:, entry])
+    mean, variance = dynamics.predict(_along(point, entry, grid))
     x, centre = grid.numpy(), mean[:, output].numpy()
-    std = (variance + dynamics.expansion.noise)[:, output].sqrt().numpy()
+    std = (variance + dynamics.noise)[:, output].sqrt().numpy()
     draw_uncertainty(panel, x, centre, std)
     panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
     dotted: dict[str, Any] = {"color": VERMILLION, "linewidth": 0.8, "linestyle": ":"}
@@ -102,13 +105,15 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
     _draw_data(panel, dynamics, point, entry, output)
 
 
-def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+def _draw_data(panel: Axes, dynamics: ForwardModel, point: Tensor, entry: int, output: int) -> None:
     """Draw partial residuals, as opaque as the model correlates the data with the slice."""
-    inputs, targets, model = dynamics.train_inputs, dynamics.train_targets, dynamics.expansion
+    inputs, targets = dynamics.train_inputs, dynamics.train_targets
     others = torch.arange(dynamics.num_inputs) != entry
-    distance = ((inputs - point) / model.lengthscales[output])[:, others]
+    distance = ((inputs - point) / dynamics.lengthscales[output])[:, others]
     nearness = distance.square().sum(-1).div(-2).exp()
-    residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
+    residuals = (
+        targets - dynamics.mean(inputs) + dynamics.mean(_along(point, entry, inputs[:, entry]))
+    )
     look: dict[str, Any] = {"alpha": nearness.numpy(), "color": VERMILLION, "linewidth": 0}
     look["label"] = "data, fainter if far from the slice"
     panel.scatter(inputs[:, entry], residuals[:, output], s=9, zorder=4, **look)
@@ -129,7 +134,7 @@ def _grid(data: Tensor) -> Tensor:
 
 
 def _check(
-    dynamics: GPDynamics,
+    dynamics: ForwardModel,
     point: Tensor,
     input_names: Sequence[str],
     output_names: Sequence[str],

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil import plotting
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, with_unit
@@ -132,6 +133,7 @@ def _policy(
     """The policy in planes of the state at predicted times; arrows are the model's mean."""
     policy, space, dynamics = result.policy, task.space, result.dynamics
     if outcome.target is not None:
+        assert isinstance(policy.policy, RBFPolicy)  # the loss of several targets demands it
         network = policy.policy.for_target(outcome.target)
         policy = StatePolicy(network, space, policy.control_period, actions=policy.actions)
     steps = [max(round(share * task.horizon), 1) for share in SHARES]
@@ -162,7 +164,7 @@ def _model(task: Task, result: RunResult) -> plotting.Figure:
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     learned = dynamics.known_part(space).learned
-    relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
+    relevance = (dynamics.train_inputs.std(0) / dynamics.lengthscales).amax(0)
     units = dict(zip(space.names, space.units, strict=True))
     of_features = [with_unit(name, units.get(name)) for name in space.feature_names]
     return plotting.plot_gp_slices(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from torch_pmil.runs.learner import Learner
-from torch_pmil.search.target_costs import TargetCost
+from torch_pmil.search.sampled_cost import CostFunction
+from torch_pmil.search.target_costs import Cost
 from torch_pmil.tasks.own_cost import own_cost
 from torch_pmil.tasks.own_robot import Recorded, own_robot
 
@@ -49,7 +50,8 @@ class PILCO(Learner):
     Args:
         env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
             bounded continuous actions, or the name of one of gymnasium, or a MujocoRobot.
-        cost: what is minimised: a :class:`SaturatingCost` or a :class:`QuadraticCost`.
+        cost: what is minimised: a :class:`SaturatingCost`, a :class:`QuadraticCost`, or a function
+            of states and actions.
         horizon: number of actions of a motion.
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.tasks.own_cost.own_cost` takes: ``state``, ``angles``,
@@ -63,6 +65,11 @@ class PILCO(Learner):
     """
 
     def __init__(
-        self, env: Any, cost: TargetCost, horizon: int, control_period: float, **settings: Any
+        self,
+        env: Any,
+        cost: Cost | CostFunction,
+        horizon: int,
+        control_period: float,
+        **settings: Any,
     ) -> None:
         super().__init__(own_cost(env, cost, horizon, control_period, **settings))

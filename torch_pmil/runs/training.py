@@ -18,8 +18,8 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import write_json
 from torch_pmil.model.compiled import available, kernels
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import torchrl_warnings_alone
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.runs.lock import alone_in
 from torch_pmil.runs.own_files import check_free, own
 from torch_pmil.runs.results import results_of
@@ -76,7 +76,7 @@ class RunResult:
     trials: list[Trial]
     outcomes: list[Outcome]
     policy: StatePolicy
-    dynamics: GPDynamics
+    dynamics: ForwardModel
     task: Task
 
 

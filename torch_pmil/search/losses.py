@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_noise
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.compiled.plans import Comparison
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.kl import gaussian_cross_entropy, gaussian_kl, mean_kl
 from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
@@ -39,6 +39,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
     Example:
         >>> from tensordict import TensorDict
+        >>> from torch_pmil import GPDynamics, RBFPolicy
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
@@ -56,8 +57,8 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
     def __init__(
         self,
-        actor_network: RBFPolicy,
-        dynamics: GPDynamics,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
         space: StateSpace,
         demonstrated: Gaussian,
         noise_std: float | Tensor,
@@ -90,7 +91,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         return self.per_step(initial, horizon) / self.space.match_space.dim
 
     def sample_costs(self, states: Tensor) -> Tensor:
-        r"""Logarithmic distance of states from the demonstrated marginals, (N, \*batch, T).
+        r"""Logarithmic distances (N, \*batch, T) of trajectories from the demonstrated marginals.
 
         .. math:: \log\left(1 + \frac{d^2}{c M}\right), \qquad
             d^2 = (z - \mu^{\exp})^\top (\Sigma^{\exp})^{-1} (z - \mu^{\exp})

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_tensor
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import LossOptions
 
@@ -35,8 +36,10 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
 
     Raises:
         ValueError: shapes do not fit each other, or the reduction is unknown.
+        TypeError: the policy is no RBFPolicy.
 
     Example:
+        >>> from torch_pmil import GPDynamics
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> policy = RBFPolicy(torch.zeros(3, 2), torch.ones(1), torch.ones(2))
@@ -49,16 +52,21 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         torch.Size([5])
     """
 
+    actor_network: RBFPolicy
+
     def __init__(
         self,
-        actor_network: RBFPolicy,
-        dynamics: GPDynamics,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
         space: StateSpace,
         demonstrated: Gaussian,
         targets: Tensor,
         noise_std: float | Tensor,
         **options: Unpack[LossOptions],
     ) -> None:
+        if not isinstance(actor_network, RBFPolicy):
+            got = type(actor_network).__name__
+            raise TypeError(f"a policy for several targets must be an RBFPolicy, got {got}")
         super().__init__(actor_network, dynamics, space, demonstrated, noise_std, **options)
         if targets.ndim != 2 or demonstrated.batch_shape[:-1] != targets.shape[:1]:
             raise ValueError(

@@ -11,7 +11,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import (
     MakeOptimizer,
@@ -261,10 +261,10 @@ class SearchRuns:
 def refit_policy(
     loss: TrajectoryLoss,
     initial: Gaussian,
-    new: RBFPolicy,
+    new: AnyPolicy,
     settings: SearchSettings,
     generator: torch.Generator,
-) -> RBFPolicy:
+) -> AnyPolicy:
     """Refit the weights of a new policy to the actions of the old one, and return the new one.
 
     The actions are compared as far as the prediction is trusted. Searches on early, poor models may

@@ -12,9 +12,8 @@ from torch import Tensor
 
 from torch_pmil.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.function_samples import FunctionSamples, sample_consistent_rollouts
+from torch_pmil.model.forward_model import ForwardModel, Functions
+from torch_pmil.model.sampled_rollouts import sample_consistent_rollouts
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 SAMPLES = 500
@@ -87,14 +86,14 @@ class Promise:
     def predicted(self, loss: TrajectoryLoss, initial: Gaussian) -> PredictedSuccess:
         """Successes of the policy of ``loss`` under its model, from p(x_0)."""
         start, policy = loss.begin(initial)
-        functions = _functions_of(loss.dynamics, loss.dynamics.expansion)
+        functions = _functions_of(loss.dynamics, loss.dynamics.train_inputs)
         generator = torch.Generator().manual_seed(SEEDS[1])
-        given = functions, loss.dynamics, loss.space, loss.horizon, generator
+        given = functions, SAMPLES, loss.dynamics, loss.space, loss.horizon, generator
         states = sample_consistent_rollouts(start, policy, *given)
         return PredictedSuccess(int((self.error(states) <= self.tolerance).sum()))
 
 
 @lru_cache(1)  # policies that are compared share them
-def _functions_of(dynamics: GPDynamics, posterior: KernelExpansion) -> FunctionSamples:
-    """Functions drawn from a model's present posterior."""
-    return FunctionSamples.draw(dynamics, SAMPLES, torch.Generator().manual_seed(SEEDS[0]))
+def _functions_of(dynamics: ForwardModel, data: Tensor) -> Functions:
+    """Functions drawn from a model with its present data."""
+    return dynamics.functions(SAMPLES, torch.Generator().manual_seed(SEEDS[0]))

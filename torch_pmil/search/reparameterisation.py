@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import differentiated, in_one_vector
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -34,13 +35,19 @@ class ReparameterisedLoss(nn.Module):
         >>> from torch_pmil.tasks.registry import load_experiment
         >>> task = load_experiment("double_pendulum")
         >>> policy = task.make_policy(torch.Generator().manual_seed(0))
-        >>> ReparameterisedLoss(task.make_loss(policy, None)).values.shape
+        >>> ReparameterisedLoss(task.make_loss(policy, task.make_dynamics())).values.shape
         torch.Size([2, 100, 1])
     """
 
     def __init__(self, loss: TrajectoryLoss) -> None:
         super().__init__()
-        self.loss, policy = loss, loss.actor_network
+        policy = loss.actor_network
+        if not isinstance(policy, RBFPolicy):
+            raise TypeError(
+                f"search_policy needs an RBFPolicy, got {type(policy).__name__}, which is searched "
+                "by search_on_samples"
+            )
+        self.loss, self._policy = loss, (policy,)  # once among the modules
         with torch.no_grad():
             basis = policy.controller.network.kernel(policy.centres * policy.scale)  # (m, F, m)
             gram = basis.transpose(0, 1)
@@ -93,7 +100,7 @@ class ReparameterisedLoss(nn.Module):
     @torch.no_grad()
     def write(self) -> None:
         """Give the policy the weights that follow from the values."""
-        self.loss.actor_network.weights.copy_(self._weights(self.values))
+        self._policy[0].weights.copy_(self._weights(self.values))
 
     def _weights(self, values: Tensor) -> Tensor:
         return torch.cholesky_solve(values, self.root)[..., 0].mT

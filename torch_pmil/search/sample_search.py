@@ -18,8 +18,7 @@ from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MinimiseResult
-from torch_pmil.model.function_samples import (
-    FunctionSamples,
+from torch_pmil.model.sampled_rollouts import (
     follow_functions,
     noise_of_steps,
     sample_consistent_rollouts,
@@ -49,11 +48,12 @@ def search_on_samples(
     start, units, costs = loss.begin(initial)[0], _units(loss, initial, generator), list[float]()
     for step in range(steps):
         if step % REDRAWN == 0:
-            functions = FunctionSamples.draw(loss.dynamics, PARTICLES, generator)
+            functions = loss.dynamics.functions(PARTICLES, generator)
         starts = start.sample(PARTICLES, generator)
         noise = noise_of_steps(loss.dynamics, (*starts.shape[:-1], loss.horizon), generator)
         given = loss.begin(initial)[1], functions, loss.dynamics, loss.space, noise, units
-        cost = mean_cost(loss, follow_functions(starts, *given))
+        states = torch.cat([starts[..., None, :], follow_functions(starts, *given)], -2)
+        cost = mean_cost(loss, states)
         costs.append(cost.item())
         gradients = torch.autograd.grad(cost, parameters)
         if not all(gradient.isfinite().all() for gradient in gradients):
@@ -81,13 +81,13 @@ def _rollouts(
 ) -> Tensor:
     """States at t = 0..T, (count, *batch, T + 1, D), of particles under the loss's policy."""
     start, policy = loss.begin(initial)
-    functions = FunctionSamples.draw(loss.dynamics, count, generator)
-    given = functions, loss.dynamics, loss.space, loss.horizon, generator
+    functions = loss.dynamics.functions(count, generator)
+    given = functions, count, loss.dynamics, loss.space, loss.horizon, generator
     return sample_consistent_rollouts(start, policy, *given)
 
 
 def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
-    r"""Mean over trajectories (N, \*batch, T, D) of the sum of their costs."""
+    r"""Mean over trajectories (N, \*batch, T + 1, D) of the sum of their costs."""
     return loss.sample_costs(states).sum(-1).mean()
 
 
@@ -95,5 +95,5 @@ def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
 def expected_cost(loss: TrajectoryLoss, initial: Gaussian, seed: int) -> float:
     """Cost of a policy by particles, to be compared with that of others of the same seed."""
     states = _rollouts(loss, initial, JUDGES, torch.Generator().manual_seed(seed))
-    cost = mean_cost(loss, states[..., 1:, :]).item()
+    cost = mean_cost(loss, states).item()
     return cost if math.isfinite(cost) else math.inf

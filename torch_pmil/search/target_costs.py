@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_names, check_number
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.files import short
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
+from torch_pmil.search.sampled_cost import CostFunction, ExpectedSampledCost
 from torch_pmil.search.target_losses import (
     ExpectedQuadraticCost,
     ExpectedSaturatingCost,
@@ -57,7 +58,7 @@ class TargetCost(Settings):
             check_number(f"target of {name}", value)
 
     def loss(
-        self, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int
+        self, policy: AnyPolicy, dynamics: ForwardModel, space: StateSpace, horizon: int
     ) -> TargetLoss:
         """The expected cost over a predicted trajectory."""
         target, counts = self._in(space.match_space)
@@ -121,3 +122,43 @@ class QuadraticCost(TargetCost):
     """
 
     objective: ClassVar[type[TargetLoss]] = ExpectedQuadraticCost
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionCost:
+    """A cost by any function of states and actions, whose expectation is that of samples.
+
+    Args:
+        function: as in :class:`~torch_pmil.search.sampled_cost.ExpectedSampledCost`.
+
+    Raises:
+        TypeError: it is not a function.
+
+    Example:
+        >>> FunctionCost(lambda states, actions: states.square().sum(-1)).said["cost"]
+        '<lambda>'
+    """
+
+    objective: ClassVar[type[ExpectedSampledCost]] = ExpectedSampledCost
+    function: CostFunction
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise TypeError(
+                "cost must be a SaturatingCost, a QuadraticCost or a function of states and "
+                f"actions, got {short(self.function)}"
+            )
+
+    def loss(
+        self, policy: AnyPolicy, dynamics: ForwardModel, space: StateSpace, horizon: int
+    ) -> ExpectedSampledCost:
+        """The expected cost over sampled trajectories."""
+        return ExpectedSampledCost(policy, dynamics, space, self.function, horizon)
+
+    @property
+    def said(self) -> dict[str, object]:
+        """What a run depends on: the name of the function."""
+        return {"cost": getattr(self.function, "__qualname__", type(self.function).__name__)}
+
+
+Cost = TargetCost | FunctionCost

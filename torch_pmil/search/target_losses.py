@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_positive, check_tensor, check_whole
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.compiled.plans import Comparison
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
 from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
@@ -45,8 +45,8 @@ class TargetLoss(TrajectoryLoss):
 
     def __init__(
         self,
-        actor_network: RBFPolicy,
-        dynamics: GPDynamics,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
         space: StateSpace,
         target: Tensor,
         width: float,
@@ -100,6 +100,7 @@ class ExpectedSaturatingCost(TargetLoss):
 
     Example:
         >>> from tensordict import TensorDict
+        >>> from torch_pmil import GPDynamics, RBFPolicy
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
@@ -134,6 +135,7 @@ class ExpectedQuadraticCost(TargetLoss):
     Far states count most. Arguments and errors are those of :class:`TargetLoss`.
 
     Example:
+        >>> from torch_pmil import GPDynamics, RBFPolicy
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))

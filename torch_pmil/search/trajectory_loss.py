@@ -16,22 +16,25 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.rbf_policy import Policy, RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
+from torch_pmil.control.policy import Policy
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Comparison, Objective
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.rollout import (
     PredictionError,
     compiled_plan,
     predict_mean_trajectory,
     predict_trajectory,
 )
+from torch_pmil.model.sampled_rollouts import SampledPrediction
 
 Reduction = Literal["none", "mean", "sum"]
-Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
-MeanPrediction = Callable[[Tensor, Policy, GPDynamics, StateSpace, int], Tensor]
+Prediction = Callable[[Gaussian, Policy, ForwardModel, StateSpace, int], Gaussian]
+MeanPrediction = Callable[[Tensor, Policy, ForwardModel, StateSpace, int], Tensor]
 Penalty = Callable[[Gaussian], Tensor]
 
 
@@ -65,7 +68,8 @@ class TrajectoryLoss(LossModule):
         space: the robot's state space.
         reduction: "mean" over trajectories of the sum over their steps, "sum" over both, or "none":
             all steps, (\*batch, T), with 0 where they do not count.
-        prediction: of p(x_1..T): exact moment matching, or :class:`ParticlePrediction`.
+        prediction: of p(x_1..T), as :class:`ParticlePrediction`. If None, exact moment matching;
+            by samples where policy or model has no moments in closed form.
         mean_prediction: of the trajectory of the model's mean alone.
 
     Raises:
@@ -73,6 +77,8 @@ class TrajectoryLoss(LossModule):
     """
 
     _penalty: Penalty | None = None
+    actor_network: AnyPolicy
+    dynamics: ForwardModel
     label: str  # name of the loss in progress reports and figures
     unit: str  # unit of the loss there, "" for none
 
@@ -88,11 +94,11 @@ class TrajectoryLoss(LossModule):
 
     def __init__(
         self,
-        actor_network: RBFPolicy,
-        dynamics: GPDynamics,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
         space: StateSpace,
         reduction: Reduction = "mean",
-        prediction: Prediction = predict_trajectory,
+        prediction: Prediction | None = None,
         mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
         super().__init__()
@@ -102,6 +108,8 @@ class TrajectoryLoss(LossModule):
         self.dynamics = dynamics
         self.space = space
         self.reduction = reduction
+        if prediction is None:
+            prediction = predict_trajectory if self.has_moments else SampledPrediction()
         self.prediction, self.mean_prediction = prediction, mean_prediction
 
     @property
@@ -116,6 +124,11 @@ class TrajectoryLoss(LossModule):
     @abstractmethod
     def _mean_costs(self, observed: Tensor) -> Tensor:
         """Costs of the first steps, (*batch, steps), from means alone in the match space."""
+
+    @property
+    def has_moments(self) -> bool:
+        """Whether the marginals of policy and model are known in closed form."""
+        return isinstance(self.actor_network, RBFPolicy) and self.dynamics.has_moments
 
     @property
     def functional(self) -> bool:
@@ -194,8 +207,8 @@ class TrajectoryLoss(LossModule):
         return variance.clamp(min=torch.finfo(variance.dtype).tiny)
 
     def sample_costs(self, states: Tensor) -> Tensor:
-        r"""Cost of each state of sampled trajectories (N, \*batch, T, D): (N, \*batch, T)."""
-        return self._mean_costs(self.space.observe(states))
+        r"""Costs (N, \*batch, T) of sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""
+        return self._mean_costs(self.space.observe(states[..., 1:, :]))
 
     def objective(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
@@ -280,7 +293,7 @@ class TrajectoryLoss(LossModule):
         )
 
     def reset_parameters_recursive(self) -> None:
-        """Not implemented: an RBF policy begins at the demonstrations."""
+        """Not implemented: a new policy is made by its task."""
         raise NotImplementedError(
             "the policy cannot reset itself: load a new one with "
             "actor_network.load_state_dict(new.state_dict())"
@@ -335,7 +348,7 @@ class TrajectoryLoss(LossModule):
                     f"{type(self).__name__} reads {key!r}, got a tensordict with "
                     f"{sorted(present, key=str)}"
                 )
-        dtype = self.actor_network.centres.dtype
+        dtype = self.actor_network.u_max.dtype
         belief = Gaussian(*(tensordict.get(key).to(dtype) for key in keys))
         if belief.dim != self.space.dim:
             raise ValueError(
@@ -346,7 +359,7 @@ class TrajectoryLoss(LossModule):
 
     def _counted(self, tensordict: TensorDictBase, shape: tuple[int, ...]) -> Tensor:
         """Mask of the steps that TorchRL's masks leave, bool of shape (*batch, steps)."""
-        ones = torch.ones(shape, device=self.actor_network.centres.device)
+        ones = torch.ones(shape, device=self.actor_network.u_max.device)
         return self._reduce_loss(ones, tensordict, reduction="none").bool()
 
     def _reduced(self, costs: Tensor, counted: Tensor) -> TensorDict:

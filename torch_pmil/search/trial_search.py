@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.losses import TrajectoryKLLoss
@@ -33,6 +34,7 @@ from torch_pmil.seeds import draw_seed
 BOLDER = 4.0
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
 STEADYINGS = 8  # of one policy, while it gets no worse
+ALONE = 500  # steps of a search on samples that nothing follows
 HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
 
 
@@ -52,7 +54,8 @@ class TrialSearch:
 
     With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
     first, from the last policy, and then the loss from there. The second policy is kept if it keeps
-    the promise, else the one of less expected cost.
+    the promise, else the one of less expected cost. Where policy, model or cost has no moments in
+    closed form, the search on samples is the whole search.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -67,7 +70,7 @@ class TrialSearch:
     def __init__(
         self,
         settings: SearchSettings,
-        make_policy: Callable[[], RBFPolicy],
+        make_policy: Callable[[], AnyPolicy],
         generator: torch.Generator,
         promise: Promise | None = None,
         report: Report = lambda stage, loss: None,
@@ -86,6 +89,9 @@ class TrialSearch:
         search = partial(
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )
+        if not loss.has_moments:
+            self.result = self._on_samples(loss, initial, settings.sample_steps or ALONE)
+            return self.result
         if settings.sample_steps:
             return self._begun_on_samples(loss, initial, search)
         self.result = search(random=self._least == math.inf)
@@ -110,7 +116,9 @@ class TrialSearch:
         self._credit += self.result.evaluations
         if self.promise is not None and self.result.complete:
             known, credit = (loss, initial, self.promise, settings, self.result), self._credit
-            others = iter(self.make_policy, None) if succeeded else iter(())
+            others: Iterator[AnyPolicy] = iter(())
+            if succeeded:
+                others = (self.make_policy() for _ in count())
             before = self.result.evaluations
             self.result = search_for_success(*known, credit, others, report, optimizer)
             self._credit -= self.result.evaluations - before
@@ -120,12 +128,9 @@ class TrialSearch:
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
         """Search on samples, then the loss, and keep the better of the two policies."""
-        network, generator = loss.actor_network, self.generator
-        runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
-        runs.runs.append(search_on_samples(loss, initial, self.settings.sample_steps, generator))
-        self.report("samples", runs.runs[-1].loss)
-        first = runs.result(loss.horizon)
-        judge = partial(expected_cost, loss, initial, draw_seed(generator))
+        network = loss.actor_network
+        first = self._on_samples(loss, initial, self.settings.sample_steps)
+        judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
         expected, found = judge(), copy.deepcopy(network.state_dict())
         second, promise = search(), self.promise
         keeps = promise is not None and promise.predicted(loss, initial).least >= promise.aim
@@ -136,13 +141,20 @@ class TrialSearch:
             self.result = first.with_work_of(second)
         return self.result
 
+    def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
+        """Search the whole horizon on samples, from the present policy."""
+        runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
+        runs.runs.append(search_on_samples(loss, initial, steps, self.generator))
+        self.report("samples", runs.runs[-1].loss)
+        return runs.result(loss.horizon)
+
     def _enough(self, succeeded: bool | None) -> bool:
         """Whether the best policy so far makes other starts needless."""
         progress = self.result.loss < PROGRESS * self._least
         return progress or (self.result.complete and succeeded is not False)
 
     def _keep_better(
-        self, loss: TrajectoryLoss, start: RBFPolicy, search: Callable[[], SearchResult]
+        self, loss: TrajectoryLoss, start: AnyPolicy, search: Callable[[], SearchResult]
     ) -> bool:
         """Search from another start, keep the better of the two policies, and say if it is new."""
         found = copy.deepcopy(loss.actor_network.state_dict())
@@ -185,7 +197,7 @@ def search_for_success(
     settings: SearchSettings,
     result: SearchResult,
     evaluations: int,
-    policies: Iterable[RBFPolicy] = (),
+    policies: Iterable[AnyPolicy] = (),
     report: Report = lambda stage, loss: None,
     optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> SearchResult:

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_positive, check_positive_entries, check_tensor, check_whole
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.search.target_costs import TargetCost
-from torch_pmil.search.target_losses import TargetLoss
+from torch_pmil.search.target_costs import Cost
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.tasks.method import SURE, Method
 from torch_pmil.tasks.task import Task
 
@@ -58,14 +58,15 @@ class CostTask(Task):
     demonstrated_states: None = None  # type: ignore[assignment]
     noise_std: float = 0.0
     method: Method = field(default_factory=lambda: Method(search=SEARCH))
-    cost: TargetCost
+    cost: Cost
     steps: int
     control_period: float
     centre_std: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.cost, TargetCost):
-            raise TypeError(f"cost must be a SaturatingCost, got {type(self.cost).__name__}")
+        if not isinstance(self.cost, Cost):
+            got = type(self.cost).__name__
+            raise TypeError(f"cost must be a SaturatingCost or a FunctionCost, got {got}")
         check_whole("horizon", self.steps, 1)
         check_positive("control_period", self.control_period)
         super().__post_init__()
@@ -74,7 +75,7 @@ class CostTask(Task):
             check_positive_entries("centre_std", self.centre_std)
 
     @property
-    def objective(self) -> type[TargetLoss]:
+    def objective(self) -> type[TrajectoryLoss]:
         """Class of the loss."""
         return self.cost.objective
 
@@ -105,11 +106,11 @@ class CostTask(Task):
         std = torch.maximum(REACH * states.std(0), self.initial.std)
         return replace(self, centre_std=std)
 
-    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TargetLoss:
+    def make_loss(self, policy: AnyPolicy, dynamics: ForwardModel) -> TrajectoryLoss:
         """The loss of the policy search: the expected cost."""
         return self.cost.loss(policy, dynamics, self.space, self.horizon)
 
-    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+    def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy: centres near random states, small random weights."""
         if self.centre_std is None:
             raise RuntimeError("a policy is made after the first motion: call scaled_by")

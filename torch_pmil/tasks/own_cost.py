@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_whole
+from torch_pmil.control.module_policy import MakeModule
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.lbfgs import MakeOptimizer
-from torch_pmil.search.target_costs import TargetCost
+from torch_pmil.search.sampled_cost import CostFunction
+from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
 from torch_pmil.tasks.fitting import actions_of
@@ -21,7 +23,7 @@ from torch_pmil.tasks.own_robot import entries_of, observed_entries, parted, rob
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_starts import start_around, starts_of
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import with_optimizer
+from torch_pmil.tasks.task import with_own
 
 WITHIN = 1.0  # widths, of the distance from the target that is a success
 HALF = 0.5  # of an error that is 0 or 1
@@ -29,7 +31,7 @@ HALF = 0.5  # of an error that is 0 or 1
 
 def own_cost(
     env: Any,
-    cost: TargetCost,
+    cost: Cost | CostFunction,
     horizon: int,
     control_period: float,
     *,
@@ -40,24 +42,28 @@ def own_cost(
     success: Callable[[Tensor], Tensor] | None = None,
     steps_per_action: int | None = None,
     optimizer: MakeOptimizer | None = None,
+    policy: MakeModule | None = None,
+    model: Any = None,
     **settings: Any,
 ) -> CostTask:
-    """The task of one's own robot and a cost.
+    r"""The task of one's own robot and a cost.
 
     Anything you leave out is estimated as by :func:`~torch_pmil.tasks.own_robot.own_robot`. The
     range of the policy's centres comes from the first motion. A success is a rollout whose last
     fifth is within one width of the target.
 
     Args:
-        env, control_period, units, angles, steps_per_action, optimizer: as there.
+        env, control_period, units, angles, steps_per_action, optimizer, policy, model: as there.
         cost: what is minimised. Its target names entries of the state, or ``sin NAME`` and
-            ``cos NAME`` of its angles, or entries of ``match``.
+            ``cos NAME`` of its angles, or entries of ``match``. A function of states x_1..x_T,
+            (\*batch, T, D), and of the actions that led to them, (\*batch, T, F), returns costs
+            (\*batch, T); its expectation is that of samples.
         horizon: number of actions of a motion.
         state: names of the entries of the observation; those of a MujocoRobot are known.
         match: the match space whose entries the target names. The name of a site of a MuJoCo
             robot stands for its place x, y, z. None if the target names entries of the state.
         success: of states x_0..x_T, (N, T + 1, D), whether each motion is a success, bool, (N,), in
-            place of the target's.
+            place of the target's. A cost function needs one.
         settings: fields of :class:`CostTask` and settings of its method.
 
     Raises:
@@ -72,8 +78,12 @@ def own_cost(
         >>> task.space.match_space.names, task.horizon
         (('x', 'cos q'), 40)
     """
-    if not isinstance(cost, TargetCost):
-        raise TypeError(f"cost must be a SaturatingCost or a QuadraticCost, got {cost!r:.80}")
+    if not isinstance(cost, Cost):
+        cost = FunctionCost(cost)
+    if isinstance(cost, FunctionCost) and success is None:
+        raise TypeError(
+            "success must say which motions are successes, since a function is the cost"
+        )
     check_whole("horizon", horizon, 1)
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_cost, CostTask, **said, **settings)
@@ -85,7 +95,9 @@ def own_cost(
     if isinstance(match, str):
         match = site_match(env, match)
     known = tuple(units) or ("",) * len(names)
-    match = match or of_target(tuple(cost.target), names, known, indices)
+    if match is None:
+        target = tuple(cost.target) if isinstance(cost, TargetCost) else names
+        match = of_target(target, names, known, indices)
     space = StateSpace(names, known, indices, match)
     robot = robot_of(env, control_period, state, steps_per_action, len(names))
     settings.setdefault("evaluated", not robot.physical)
@@ -97,13 +109,13 @@ def own_cost(
     if isinstance(robot, OneRobot):
         robot.turning_entries = turning(state, space, settings["initial"].mean)
     task = _task(robot, space, cost, horizon, control_period, success, settings)
-    return with_optimizer(task, optimizer)
+    return with_own(task, optimizer, policy, model)
 
 
 def _task(
     robot: Any,
     space: StateSpace,
-    cost: TargetCost,
+    cost: Cost,
     horizon: int,
     control_period: float,
     success: Callable[[Tensor], Tensor] | None,
@@ -111,7 +123,11 @@ def _task(
 ) -> CostTask:
     """The task of these settings, by default those that robot and cost suggest."""
     given, chosen = parted(settings, CostTask)
-    error = cost.at_end(space) if success is None else _failed(success)
+    if success is not None:
+        error = _failed(success)
+    else:
+        assert isinstance(cost, TargetCost)
+        error = cost.at_end(space)
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(robot()),

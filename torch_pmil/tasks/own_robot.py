@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.module_policy import MakeModule
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
@@ -30,7 +31,7 @@ from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import Task, with_optimizer
+from torch_pmil.tasks.task import Task, with_own
 from torch_pmil.tasks.unit_checks import check_units
 
 TOLERANCE = 2.0  # standard deviations of the demonstrations
@@ -58,6 +59,8 @@ def own_robot(
     past: Literal["auto"] | None = "auto",
     steps_per_action: int | None = None,
     optimizer: MakeOptimizer | None = None,
+    policy: MakeModule | None = None,
+    model: Any = None,
     **settings: Any,
 ) -> Task:
     """The task of one's own robot and recordings.
@@ -107,6 +110,11 @@ def own_robot(
             :class:`~torch_pmil.envs.one_robot.OneRobot`.
         optimizer: of the policy search, a class of ``torch.optim`` or a function that makes one
             (:func:`~torch_pmil.gp.lbfgs.minimise`); ``torch.optim.LBFGS`` if None.
+        policy: makes a policy of your own, a ``torch.nn.Module`` from features to actions, from
+            their numbers, as ``torch.nn.Linear`` does
+            (:class:`~torch_pmil.control.module_policy.ModulePolicy`); an RBF network if None.
+        model: a forward model of your own, with ``fit`` and ``sample`` or ``moments``
+            (:class:`~torch_pmil.model.own_dynamics.OwnDynamics`); GPs if None.
         settings: fields of :class:`Task` and settings of its method
             (:class:`~torch_pmil.tasks.method.Method`), by name, in place of the defaults.
 
@@ -139,7 +147,8 @@ def own_robot(
     settings.setdefault("evaluated", not robot.physical)
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
-    task = with_optimizer(_task(robot, space, shown, states, starts, settings), optimizer)
+    task = _task(robot, space, shown, states, starts, settings)
+    task = with_own(task, optimizer, policy, model)
     given = Sampling(1, past_entries, past_actions, positions_only)
     samplings = samplings_of(task, given, step, past)
     if len(samplings) > 1:

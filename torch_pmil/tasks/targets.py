@@ -9,12 +9,12 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.settings import setting
@@ -118,7 +118,7 @@ class TargetTask(Task):
             outcomes.append(Outcome(label, sets[i], *marginals, parts[i], measured[i], target))
         return outcomes
 
-    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> MultiTargetKLLoss:
+    def make_loss(self, policy: AnyPolicy, dynamics: ForwardModel) -> MultiTargetKLLoss:
         """The loss of the policy search: the mean over the targets of the KL (Eq. 31)."""
         return MultiTargetKLLoss(
             policy, dynamics, self.space, self.demonstrated, self.targets, self.noise_std

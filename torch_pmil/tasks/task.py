@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
+from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
@@ -28,10 +29,12 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
+from torch_pmil.model.forward_model import ForwardModel
+from torch_pmil.model.own_dynamics import OwnDynamics, check_own_model
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.seeds import Stream, generator_of
+from torch_pmil.seeds import Stream, draw_seed, generator_of
 from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.outcome import Outcome
@@ -222,7 +225,18 @@ class Task(Settings):
             "held": self.held,
             "history": self.history and asdict(self.history),
             "state_box": self.state_box and self.state_box.settings,
+            **self._own_parts,
         }
+
+    @property
+    def _own_parts(self) -> dict[str, object]:
+        """Policy and model of a user's own, as a run's settings hold them."""
+        method, parts = self.method, dict[str, object]()
+        if method.make_module is not None:
+            parts["policy"] = str(self._own_policy(len(self.space.feature_names), 0).module)
+        if method.own_model is not None:
+            parts["model"] = type(method.own_model).__name__
+        return parts
 
     def problem(self, seed: int) -> Problem:
         """What a trainer solves, with a new policy and a model without data."""
@@ -279,33 +293,63 @@ class Task(Settings):
         marginals = None if shown is None else self.demonstrated
         return [Outcome("", shown, marginals, predicted, rollouts, errors)]
 
-    def make_dynamics(self) -> GPDynamics:
+    def make_dynamics(self) -> ForwardModel:
         """A forward model of the robot, without data."""
-        actions, time_step = len(self.actions.names), self.time_step
-        inputs, model = len(self.space.feature_names) + actions, self.method.model
-        tied, past, names = model.tied_lengthscales, self.history, self.space.names
-        if past is not None:
-            known = KnownPart.of_readings(past.shift, past.gain, past.measured)
-        elif model.velocities_alone:
-            velocities = {names[entry]: names[rate] for rate, entry in rates_of(names).items()}
-            known = KnownPart.of_velocities(names, velocities, actions, time_step)
-        else:
-            return GPDynamics(inputs, self.space.dim, tied_lengthscales=tied)
+        inputs = len(self.space.feature_names) + len(self.actions.names)
+        method, known = self.method, self._known_part
+        if method.own_model is not None:
+            return OwnDynamics(method.own_model, inputs, known.num_outputs, known)
+        tied = method.model.tied_lengthscales
         return GPDynamics(inputs, known.num_outputs, known, tied_lengthscales=tied)
 
-    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
+    @property
+    def _known_part(self) -> KnownPart:
+        """What is known of the robot's next state before anything is learned."""
+        past, names = self.history, self.space.names
+        if past is not None:
+            return KnownPart.of_readings(past.shift, past.gain, past.measured)
+        if self.method.model.velocities_alone:
+            velocities = {names[entry]: names[rate] for rate, entry in rates_of(names).items()}
+            return KnownPart.of_velocities(
+                names, velocities, len(self.actions.names), self.time_step
+            )
+        return KnownPart.of_differences(self.space.dim)
+
+    def make_loss(self, policy: AnyPolicy, dynamics: ForwardModel) -> TrajectoryLoss:
         """The loss of the policy search: the KL between demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(policy, dynamics, self.space, self.demonstrated, self.noise_std)
 
-    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+    def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy with centres near demonstrated states, see :meth:`policy_near`."""
         return self.policy_near(self.demonstrated_inputs, generator)
 
-    def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """A new policy with centres near some of the inputs (S, D') and small random weights.
+    def policy_near(self, inputs: Tensor, generator: torch.Generator) -> AnyPolicy:
+        """A new policy for inputs (S, D'): an RBF network, or a module of a user's own.
 
         With ``holding_actions`` it holds the robot at the start.
         """
+        if self.method.make_module is None:
+            policy: AnyPolicy = self._network_near(inputs, generator)
+        else:
+            policy = self._own_policy(inputs.shape[-1], draw_seed(generator))
+        if self.holding_actions is not None:
+            held = self.initial.sample(HELD_STARTS, generator)
+            if self.held_states is not None:
+                held = torch.cat([held, self.held_states])
+            policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
+        return policy
+
+    def _own_policy(self, num_inputs: int, seed: int) -> ModulePolicy:
+        """A new policy by a module of a user's own, made under a seed of PyTorch's generator."""
+        actions, make = self.actions, self.method.make_module
+        assert make is not None
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            module = make(num_inputs, len(actions.names))
+        return ModulePolicy(module, num_inputs, actions.half_range, actions.middle)
+
+    def _network_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
+        """An RBF network with centres near some of the inputs and small random weights."""
         settings, actions = self.method.policy, self.actions
         std, count = self._spread(inputs), settings.num_centres
         chosen = torch.randint(len(inputs), (count,), generator=generator)
@@ -314,11 +358,6 @@ class Task(Settings):
         policy = RBFPolicy(centres, actions.half_range, self.widths(std), actions.middle)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(settings.initial_weight_std * white)
-        if self.holding_actions is not None:
-            held = self.initial.sample(HELD_STARTS, generator)
-            if self.held_states is not None:
-                held = torch.cat([held, self.held_states])
-            policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
@@ -350,17 +389,28 @@ class Task(Settings):
 T = TypeVar("T", bound=Task)
 
 
-def with_optimizer(task: T, optimizer: MakeOptimizer | None) -> T:
-    """The same task with another optimiser of the policy search, unless it is None.
+def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakeModule | None, model: Any) -> T:
+    """The same task with parts of the method that are a user's own, where they are not None.
 
-    Raises TypeError if it is no class or function.
+    Raises TypeError if one is of another kind.
     """
-    if optimizer is None:
-        return task
-    if not callable(optimizer):
-        got = type(optimizer).__name__
-        raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
-    return replace(task, method=replace(task.method, optimizer=optimizer))
+    parts: dict[str, Any] = {}
+    if optimizer is not None:
+        if not callable(optimizer):
+            got = type(optimizer).__name__
+            raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
+        parts["optimizer"] = optimizer
+    if policy is not None:
+        if isinstance(policy, nn.Module) or not callable(policy):
+            raise TypeError(
+                "policy must make a torch.nn.Module from the numbers of features and actions, as "
+                f"torch.nn.Linear does, got {type(policy).__name__}"
+            )
+        parts["make_module"] = policy
+    if model is not None:
+        check_own_model(model)
+        parts["own_model"] = model
+    return replace(task, method=replace(task.method, **parts)) if parts else task
 
 
 def check_task(task: Task) -> None:

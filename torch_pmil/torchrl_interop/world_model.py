@@ -14,8 +14,9 @@ from torch_pmil.checks import check_whole
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.model.dynamics import FitResult, GPDynamics, Targets, known_part
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import gp_data
+from torch_pmil.model.forward_model import FitResult, Targets, known_part
 from torch_pmil.model.rollout import successor_belief
 from torch_pmil.torchrl_interop import keys
 

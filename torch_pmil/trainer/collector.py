@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
 from torch_pmil.control.exploration import Motion
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.rollouts import as_executed
 
@@ -27,7 +27,7 @@ class RobotActor(torch.nn.Module):
         motion: of the exploration.
     """
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace, motion: Motion) -> None:
+    def __init__(self, policy: AnyPolicy, space: StateSpace, motion: Motion) -> None:
         super().__init__()
         self.policy, self.space, self.motion = policy, space, motion
         self.exploring = True

@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from torch_pmil.checks import check_positive
 from torch_pmil.control.exploration import Exploration
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import check_start_belief
@@ -49,7 +49,7 @@ class Problem:
     initial: Gaussian
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
-    make_policy: Callable[[torch.Generator], RBFPolicy]
+    make_policy: Callable[[torch.Generator], AnyPolicy]
     exploration: Exploration
     measured: EnvBase | None = None
     box: StateBox | None = None

@@ -98,8 +98,7 @@ def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any], widths: tuple[
         if name not in saved:
             raise StateError(f"component {name} is missing")
         check_state(name, state, saved[name])
-    inputs = fresh["policy"]["centres"].shape[-1]
-    policy_of(saved["policy"], inputs)
+    _check_network(fresh["policy"], saved["policy"])
     check_model("loss_module", saved["loss_module"])
     if not 0 <= saved["rng"]["numpy"][2] <= NUMPY_WORDS:
         raise StateError(f"rng.numpy[2] must be 0 to {NUMPY_WORDS}, got {saved['rng']['numpy'][2]}")
@@ -110,7 +109,7 @@ def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any], widths: tuple[
     candidate = {**_record(Candidate), "parameters": fresh["policy"]}
     check_state("progress.candidates", [candidate], progress["candidates"])
     for candidate in progress["candidates"]:
-        policy_of(candidate["parameters"], inputs)
+        _check_network(fresh["policy"], candidate["parameters"])
     experience, latest = saved["trainer_module.experience"], saved["collector"]["latest"]
     if experience["count"]:
         motion = _motion([experience["count"]], *widths)
@@ -119,6 +118,12 @@ def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any], widths: tuple[
         check_state("collector.latest", {"entries": {}, "shape": [0], "cut_short": ""}, latest)
         motion = _motion(latest["shape"], *widths)
         check_state("collector.latest", motion, latest["entries"], exact=False)
+
+
+def _check_network(fresh: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> None:
+    """Raise PolicyFileError unless the parameters of an RBF network give actions."""
+    if "centres" in fresh:  # those of a module of one's own are as finite as they were saved
+        policy_of(saved, fresh["centres"].shape[-1])
 
 
 def _record(kind: type) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.history import History
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import Targets
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 
 NAMES = ("a", "b", "c")

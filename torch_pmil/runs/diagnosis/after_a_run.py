@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.calibration import standardised_residuals
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.forward_model import ForwardModel, Targets
 from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
 from torch_pmil.runs.diagnosis.before_a_run import check, needed_torques
 from torch_pmil.runs.diagnosis.causes import (
@@ -117,16 +117,16 @@ def evidence_in(
     return evidence_of_the_past(states, actions, task.space, period, targets, remembered)
 
 
-def known_steps(task: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
+def known_steps(task: Task, dynamics: ForwardModel, outcome: Outcome) -> Tensor:
     """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
     There the state is within the largest values of the model's data, and no predicted standard
     deviation is above half of that without data.
     """
-    before, expansion = outcome.executed[:, :-1], dynamics.expansion
+    before = outcome.executed[:, :-1]
     inputs = torch.cat([task.space.features(before), outcome.rollouts["action"]], -1)
-    _, variance = expansion.predict(inputs)
-    sure = (variance <= LITTLE**2 * expansion.signal_variance).all(-1)
+    _, variance = dynamics.predict(inputs)
+    sure = (variance <= LITTLE**2 * dynamics.prior_variance).all(-1)
     plain = list(task.space.plain)  # the first features
     reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
     return sure & (before[..., plain].abs() <= reached).all(-1)
@@ -144,7 +144,7 @@ def _of_the_robot(task: Task, outcome: Outcome) -> list[Reason]:
     return _found(outcome, saturated, check_motion(moved, shown, noise_std, task.adjustable))
 
 
-def _of_the_model(task: Task, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
+def _of_the_model(task: Task, dynamics: ForwardModel, outcome: Outcome, steps: int) -> list[Reason]:
     """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
     outcome = outcome.compared
     actions, time_step = outcome.rollouts["action"], task.time_step

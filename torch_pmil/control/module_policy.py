@@ -1,0 +1,103 @@
+"""A policy of one's own: any module from features to actions, within the actions' range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from torch_pmil.checks import check_positive_entries, check_tensor, check_whole
+from torch_pmil.control.rbf_policy import RBFPolicy
+
+MakeModule = Callable[[int, int], nn.Module]  # from the numbers of features and of actions
+
+FITS, RATE = 300, 0.01  # steps of Adam by which a module learns given actions
+
+
+class ModulePolicy(nn.Module):
+    r"""Any module whose output is limited to the range of the actions.
+
+    .. math:: \pi(x) = \bar u + u_{\max} \tanh\left(\frac{f(x) - \bar u}{u_{\max}}\right)
+
+    The module f maps features (\*batch, D') to actions (\*batch, F), both in their units. Its
+    parameters are what is searched. It has no moments in closed form, so that it is predicted by
+    samples. Its numbers become float64.
+
+    Args:
+        module: f.
+        num_inputs: D'.
+        u_max: largest distances (F,) of an action from the middle of its range, in its unit.
+        u_middle: middles of the actions' ranges (F,).
+
+    Raises:
+        TypeError: the module is none of PyTorch, or does not return a tensor.
+        ValueError: it has no parameters, or its output has another shape or is not finite.
+
+    Example:
+        >>> one = torch.ones(1)
+        >>> policy = ModulePolicy(nn.Linear(3, 1), 3, u_max=one, u_middle=0 * one)
+        >>> policy(torch.zeros(5, 3)).shape
+        torch.Size([5, 1])
+    """
+
+    u_max: Tensor
+    u_middle: Tensor
+
+    def __init__(self, module: nn.Module, num_inputs: int, u_max: Tensor, u_middle: Tensor) -> None:
+        super().__init__()
+        if not isinstance(module, nn.Module):
+            raise TypeError(f"policy must be a torch.nn.Module, got {type(module).__name__}")
+        check_whole("num_inputs", num_inputs, 1)
+        check_tensor("u_max", u_max, ("F",))
+        check_positive_entries("u_max", u_max)
+        check_tensor("u_middle", u_middle, (len(u_max),))
+        self.module, self.num_inputs = module.double(), num_inputs
+        self.register_buffer("u_max", u_max.double())
+        self.register_buffer("u_middle", u_middle.double())
+        self._check()
+
+    @property
+    def controller(self) -> ModulePolicy:
+        """The policy itself, a function of the features."""
+        return self
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Action (*batch, F) at features of the state (*batch, D')."""
+        output = self.module(features.double())
+        return self.u_middle + self.u_max * ((output - self.u_middle) / self.u_max).tanh()
+
+    def fit_weights(self, features: Tensor, actions: Tensor) -> None:
+        """Fit the parameters to given actions (S, F) at features (S, D') by least squares."""
+        parameters = list(self.parameters())
+        adam = torch.optim.Adam(parameters, RATE)
+        for _ in range(FITS):
+            error = ((self(features) - actions) / self.u_max).square().mean()
+            for parameter, slope in zip(
+                parameters, torch.autograd.grad(error, parameters, allow_unused=True), strict=True
+            ):
+                parameter.grad = slope
+            adam.step()
+        adam.zero_grad()
+
+    @torch.no_grad()
+    def _check(self) -> None:
+        """Raise unless the module maps features to actions and can be searched."""
+        if not any(parameter.requires_grad for parameter in self.module.parameters()):
+            raise ValueError("policy must have parameters to search, got a module without any")
+        features = torch.zeros(2, self.num_inputs, dtype=torch.float64)
+        wanted = f"features (2, {self.num_inputs}) to actions (2, {len(self.u_max)})"
+        try:
+            output = self.module(features)
+        except RuntimeError as error:  # PyTorch's for shapes that do not fit
+            why = str(error).splitlines()[0]
+            raise ValueError(f"policy must map {wanted}, but its call failed: {why}") from error
+        if not isinstance(output, Tensor):
+            raise TypeError(f"policy must map {wanted}, got a {type(output).__name__}")
+        if output.shape != (2, len(self.u_max)):
+            raise ValueError(f"policy must map {wanted}, got {tuple(output.shape)}")
+        if not output.isfinite().all():
+            raise ValueError(f"policy must map {wanted}, got numbers that are not finite")
+
+
+AnyPolicy = RBFPolicy | ModulePolicy

@@ -1,0 +1,148 @@
+"""A forward model of one's own: any object that fits data, and samples functions or has moments."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_whole
+from torch_pmil.gp.gaussian import normal
+from torch_pmil.model.forward_model import FitResult, ForwardModel, Functions, Targets
+
+FIT_SEED = 0  # of PyTorch's global generator while a model is fitted
+PREDICTED_BY = 200  # functions, of a model that has no moments
+
+
+class OwnDynamics(ForwardModel):
+    r"""Forward model by an object of a user's own, predicted by samples.
+
+    The object has ``fit(inputs, targets)`` and one of these:
+
+    - ``sample(count, generator)`` returns functions that the data leave possible. They map inputs
+      (count, \*batch, D' + F) to outputs (count, \*batch, E), with a gradient in the inputs.
+    - ``moments(inputs)`` returns mean and variance of the outputs, (\*batch, E) each, noise
+      included. Function i is then :math:`\mu(x) + z_i \sigma(x)`: a particle that is one standard
+      deviation off stays so along its trajectory.
+
+    Inputs are features of the state and actions. Targets are what the known part leaves to learn:
+    by default the changes of the state in one step. Each fit begins with the object as it was
+    given, under one seed of PyTorch's generator. So a resumed run learns the same.
+
+    Args:
+        model: the object, which is copied and stays as it is.
+        num_inputs, num_outputs, targets: as in :class:`ForwardModel`.
+
+    Raises:
+        TypeError: the object has no such methods.
+
+    Example: see ``docs/how_to/own_model.md``.
+    """
+
+    def __init__(
+        self, model: Any, num_inputs: int, num_outputs: int, targets: Targets = "difference"
+    ) -> None:
+        super().__init__(num_inputs, num_outputs, targets)
+        check_own_model(model)
+        # in a tuple, lest a module's parameters become those of the loss
+        self._given, self._fitted = (model,), tuple[Any, ...]()
+
+    @property
+    def own(self) -> Any:
+        """The object fitted to the present data; RuntimeError before there are any."""
+        if not self._fitted:
+            self._check_has_data()
+            own = copy.deepcopy(self._given[0])
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(FIT_SEED)
+                own.fit(self.train_inputs.clone(), self.train_targets.clone())
+            self._fitted = (own,)
+        return self._fitted[0]
+
+    def set_data(self, inputs: Tensor, targets: Tensor) -> None:
+        """Take finite data (n, D' + F) and (n, E), to which the object is fitted when asked."""
+        super().set_data(inputs, targets)
+        self._fitted = ()
+
+    def fit(self, inputs: Tensor, targets: Tensor) -> FitResult:
+        """Fit the object to data (n, D' + F) and (n, E)."""
+        begun = time.perf_counter()
+        self.set_data(inputs, targets)
+        assert self.own is not None
+        unknown = torch.full((self.num_outputs,), math.nan, dtype=torch.float64)
+        seconds, reason = time.perf_counter() - begun, ("fitted by its own method",)
+        return FitResult(unknown, 0, seconds, reason * self.num_outputs)
+
+    def predict(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and variance (*batch, E), of ``moments`` or of sampled functions."""
+        if hasattr(self.own, "moments"):
+            return self._moments(inputs)
+        functions = self.functions(PREDICTED_BY, torch.Generator().manual_seed(FIT_SEED))
+        outputs = functions(inputs.expand(PREDICTED_BY, *inputs.shape))
+        return outputs.mean(0), outputs.var(0)
+
+    def functions(self, count: int, generator: torch.Generator) -> Functions:
+        """So many functions of the object."""
+        check_whole("count", count, 1)
+        if not hasattr(self.own, "sample"):
+            return self._by_moments(count, generator)
+        functions = self.own.sample(count, generator)
+
+        def checked(inputs: Tensor) -> Tensor:
+            return self._as_wanted("functions of sample()", functions(inputs), inputs)
+
+        return checked
+
+    @property
+    def noise(self) -> Tensor:
+        """Zeros: functions and moments of the object hold its noise."""
+        return torch.zeros(self.num_outputs, dtype=torch.float64)
+
+    def _by_moments(self, count: int, generator: torch.Generator) -> Functions:
+        """Functions that keep their distance from the mean, in standard deviations."""
+        white = normal((count, self.num_outputs), self.train_targets, generator)
+
+        def of_moments(inputs: Tensor) -> Tensor:
+            mean, variance = self._moments(inputs)
+            apart = white.reshape(count, *[1] * (inputs.ndim - 2), -1)
+            return mean + variance.sqrt() * apart
+
+        return of_moments
+
+    def _moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        found = self.own.moments(inputs)
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise TypeError(
+                f"moments() of the model must return mean and variance, got {type(found).__name__}"
+            )
+        mean, variance = (self._as_wanted("moments()", part, inputs) for part in found)
+        if (variance < 0).any():
+            least = variance.min().item()
+            raise ValueError(f"moments() of the model must give variances, got {least:g}")
+        # a slope of the root that is finite where nothing is uncertain
+        return mean, variance.clamp(min=torch.finfo(variance.dtype).tiny)
+
+    def _as_wanted(self, what: str, outputs: object, inputs: Tensor) -> Tensor:
+        """Outputs (*batch, E) at inputs (*batch, D' + F), in float64."""
+        wanted = (*inputs.shape[:-1], self.num_outputs)
+        if not isinstance(outputs, Tensor) or outputs.shape != wanted:
+            found = tuple(outputs.shape) if isinstance(outputs, Tensor) else type(outputs).__name__
+            raise ValueError(
+                f"{what} of the model must give a tensor {wanted} at inputs "
+                f"{tuple(inputs.shape)}, got {found}"
+            )
+        return outputs.double()
+
+
+def check_own_model(model: object) -> None:
+    """Raise TypeError unless an object has the methods of a model."""
+    known = [name for name in ("fit", "sample", "moments") if callable(getattr(model, name, None))]
+    if "fit" not in known or len(known) < 2:
+        raise TypeError(
+            "model must have the methods fit(inputs, targets), and sample(count, generator) or "
+            f"moments(inputs), got {type(model).__name__} with {', '.join(known) or 'none of them'}"
+        )

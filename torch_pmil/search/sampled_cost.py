@@ -1,0 +1,112 @@
+"""The expected cost by any function of states and actions, by samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NoReturn
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_whole
+from torch_pmil.control.module_policy import AnyPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.forward_model import ForwardModel
+from torch_pmil.model.sampled_rollouts import SampledPrediction
+from torch_pmil.search.trajectory_loss import Reduction, TrajectoryLoss
+
+CostFunction = Callable[[Tensor, Tensor], Tensor]
+
+
+class ExpectedSampledCost(TrajectoryLoss):
+    r"""Mean over sampled trajectories of a cost function, summed over the horizon: ``"loss_cost"``.
+
+    .. math:: \sum_{t=1}^T \mathbb E\left[c(x_t, u_{t-1})\right]
+
+    Args:
+        actor_network, dynamics, space, reduction: as in :class:`TrajectoryLoss`.
+        cost: of states x_1..x_T, (\*batch, T, D), and the actions that led to them, (\*batch, T,
+            F): costs (\*batch, T), differentiable in both.
+        horizon: T, number of steps after the start.
+        prediction: by which trajectories are sampled; ``SampledPrediction()`` if None.
+
+    Raises:
+        ValueError: the horizon or the reduction is not as it must be. When called: the costs have
+            another shape.
+        TypeError: when called: the cost function returns no tensor.
+
+    Example:
+        >>> from torch_pmil import GPDynamics, RBFPolicy, joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics = GPDynamics(2, 1)
+        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
+        >>> effort = lambda states, actions: actions.square().sum(-1)
+        >>> loss = ExpectedSampledCost(policy, dynamics, space, effort, horizon=5)
+        >>> loss.per_step(Gaussian(torch.zeros(1).double(), torch.eye(1).double()))
+        tensor([0., 0., 0., 0., 0.], dtype=torch.float64, grad_fn=...)
+    """
+
+    out_keys = ["loss_cost"]
+    label, unit = "cost", ""
+    prediction: SampledPrediction
+
+    def __init__(
+        self,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
+        space: StateSpace,
+        cost: CostFunction,
+        horizon: int,
+        reduction: Reduction = "mean",
+        prediction: SampledPrediction | None = None,
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, reduction, prediction)
+        check_whole("horizon", horizon, 1)
+        self.cost, self._horizon = cost, horizon
+
+    @property
+    def horizon(self) -> int:
+        """T, number of steps after the start."""
+        return self._horizon
+
+    @property
+    def has_moments(self) -> bool:
+        """False: no expectation of the cost is known in closed form."""
+        return False
+
+    def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """Expected cost of each step up to a horizon, (*batch, horizon)."""
+        (start, policy), steps = self.begin(initial), self._steps(horizon)
+        states = self.prediction.rollouts(start, policy, self.dynamics, self.space, steps)
+        costs = self.sample_costs(states).mean(0)
+        if self._penalty is None:
+            return costs
+        return costs + self._penalty(self.predict_states(initial, steps))
+
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon)."""
+        return self.spread(initial, horizon)
+
+    def sample_costs(self, states: Tensor) -> Tensor:
+        r"""Costs (N, \*batch, T) of sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""
+        actions = self.actor_network(self.space.features(states[..., :-1, :]))
+        costs = self.cost(states[..., 1:, :], actions)
+        wanted = tuple(actions.shape[:-1])
+        if not isinstance(costs, Tensor):
+            raise TypeError(f"cost must return a tensor {wanted}, got {type(costs).__name__}")
+        if costs.shape != wanted:
+            raise ValueError(
+                f"cost must return {wanted} for states {tuple(states[..., 1:, :].shape)} and "
+                f"actions {tuple(actions.shape)}, got {tuple(costs.shape)}"
+            )
+        return costs
+
+    def _costs(self, observed: Gaussian) -> NoReturn:
+        raise NotImplementedError(
+            "a cost function has no expectation in closed form: call the loss, which samples"
+        )
+
+    def _mean_costs(self, observed: Tensor) -> NoReturn:
+        self._costs(Gaussian(observed, torch.diag_embed(0 * observed)))

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from torch_pmil.model import rollout
+from torch_pmil.model import function_samples, rollout
+from torch_pmil.model.function_samples import FunctionSamples
 from torch_pmil.search import trajectory_loss
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.target_losses import ExpectedSaturatingCost
@@ -18,7 +19,7 @@ from torch_pmil.search.target_losses import ExpectedSaturatingCost
 def formulas_alone() -> Iterator[None]:
     """All is computed by the formulas in PyTorch."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (rollout, trajectory_loss):
+        for module in (function_samples, rollout, trajectory_loss):
             patch.setattr(module, "serves", lambda *_: False)
         yield
 
@@ -33,6 +34,7 @@ def kernels_alone() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("_trajectory", "_mean_trajectory"):
             patch.setattr(rollout, name, refuse)
+        patch.setattr(FunctionSamples, "_sums", refuse)
         for loss in (TrajectoryKLLoss, ExpectedSaturatingCost):
             for name in ("_costs", "_mean_costs"):
                 patch.setattr(loss, name, refuse)

@@ -15,6 +15,7 @@ from torch_pmil.checks import check_whole
 from torch_pmil.gp.gaussian import normal, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.kernel_pairs import gram
+from torch_pmil.model.compiled import kernels, serves
 
 FREQUENCIES = 100  # the prior's covariances are then off by a tenth of its variance
 
@@ -81,6 +82,17 @@ class FunctionSamples:
 
     def __call__(self, inputs: Tensor) -> Tensor:
         r"""Outputs (N, \*batch, E) of each function at inputs (N, \*batch, D) of its own."""
+        return kernels().outputs_of(self, inputs) if self._compiled(inputs) else self._sums(inputs)
+
+    def _compiled(self, inputs: Tensor) -> bool:
+        """Whether the kernels, which check no shapes themselves, compute these outputs."""
+        f, size = self.expansion, inputs.shape
+        fit = inputs.ndim > 1 and (size[0], size[-1]) == (len(self), f.num_inputs)
+        constant = *f.tensors, self.frequencies, self.weights, self.updates
+        return fit and serves(constant, [inputs])
+
+    def _sums(self, inputs: Tensor) -> Tensor:
+        """The outputs by the formulas in PyTorch."""
         features = _features(self.frequencies, inputs[..., None, None, :])[..., 0, :]
         of_prior = torch.einsum("n...ej,nej->n...e", features, self.weights)
         of_data = torch.einsum("n...ei,nei->n...e", self.expansion.kernel(inputs), self.updates)

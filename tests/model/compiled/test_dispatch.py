@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from tests.helpers.draws import Draws
 from tests.helpers.losses import SPACE, make_cost, make_kl, make_parts
@@ -21,10 +22,14 @@ from tests.helpers.two_ways import formulas_alone
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model.compiled import SLOWER, kernels
+from torch_pmil.model.function_samples import FunctionSamples
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 
 STEPS = 3
-ANSWERS = "predict_beliefs", "predict_states", "costs_of_beliefs", "costs_of_states"
+ANSWERS = (
+    *("predict_beliefs", "predict_states", "costs_of_beliefs", "costs_of_states"),
+    "outputs_of",
+)
 
 
 @pytest.fixture
@@ -127,6 +132,63 @@ def test_formulas_compute_where_marginals_are_for_other_batches(
         setattr(loss, name, getattr(loss, name).expand(3, *getattr(loss, name).shape).clone())
     assert loss.per_step(start).shape == (3, loss.horizon)
     assert answers == ["predict_beliefs"]
+
+
+# --- drawn functions ---
+
+
+def drawn_functions(draws: Draws) -> FunctionSamples:
+    return FunctionSamples.draw(make_parts(draws)[1], 4, draws.generator)
+
+
+@pytest.mark.parametrize("differentiable", [False, True])
+def test_kernels_compute_drawn_functions(
+    answers: list[str], draws: Draws, differentiable: bool
+) -> None:
+    functions = drawn_functions(draws)
+    inputs = draws.normal(4, functions.expansion.num_inputs).requires_grad_(differentiable)
+    assert functions(inputs).requires_grad == differentiable
+    assert answers == ["outputs_of"]
+
+
+def test_formulas_compute_drawn_functions_in_single_precision(
+    answers: list[str], draws: Draws
+) -> None:
+    _, dynamics = (part.float() for part in make_parts(draws))
+    functions = dynamics.functions(4, draws.generator)
+    inputs = draws.normal(4, functions.expansion.num_inputs)
+    assert functions(inputs.float()).dtype == torch.float32 and not answers
+
+
+@pytest.mark.parametrize("name", ["frequencies", "weights", "updates"])
+def test_formulas_compute_gradients_in_drawn_functions(
+    answers: list[str], draws: Draws, name: str
+) -> None:
+    functions = drawn_functions(draws)
+    leaf = getattr(functions, name).clone().requires_grad_()
+    check_gradient_in(leaf, replace(functions, **{name: leaf}), draws, answers)
+
+
+@pytest.mark.parametrize("name", ["inputs", "lengthscales", "signal_variance", "offset"])
+def test_formulas_compute_gradients_in_the_posterior_of_drawn_functions(
+    answers: list[str], draws: Draws, name: str
+) -> None:
+    functions = drawn_functions(draws)
+    leaf = getattr(functions.expansion, name).clone().requires_grad_()
+    posterior = replace(functions.expansion, **{name: leaf})
+    check_gradient_in(leaf, replace(functions, expansion=posterior), draws, answers)
+
+
+def check_gradient_in(
+    leaf: Tensor, functions: FunctionSamples, draws: Draws, answers: list[str]
+) -> None:
+    """There is one by the formulas, and without a graph the kernels compute."""
+    inputs = draws.normal(4, functions.expansion.num_inputs)
+    (gradient,) = torch.autograd.grad(functions(inputs).sum(), leaf)
+    assert (gradient != 0).any() and not answers
+    with torch.no_grad():
+        functions(inputs)
+    assert answers == ["outputs_of"]
 
 
 # --- without kernels ---

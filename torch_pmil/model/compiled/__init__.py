@@ -1,9 +1,9 @@
 """The prediction and its gradient as compiled kernels: the same formulas, some ten times as fast.
 
-:func:`serves` decides when they are used: for float64 on the CPU, with gradients in start beliefs
-and policies only. The formulas in PyTorch remain the reference, and compute all else: on a GPU, in
-float32, with gradients in data and hyper-parameters. They also name what the kernels cannot
-compute, where a matrix has no Cholesky factor or a number is not finite.
+:func:`serves` decides when they are used: for float64 on the CPU, with gradients in start beliefs,
+policies and the inputs of drawn functions only. The formulas in PyTorch remain the reference, and
+compute all else: on a GPU, in float32, with gradients in data and hyper-parameters. They also name
+what the kernels cannot compute, where a matrix has no Cholesky factor or a number is not finite.
 
 ``TORCH_PMIL_COMPILED=0`` turns the kernels off; they need Numba. The first prediction compiles
 them, which takes some 20 s once; ``pmil compile`` does so beforehand.

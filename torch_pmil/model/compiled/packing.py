@@ -17,7 +17,7 @@ from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, filled_
 from torch_pmil.model.compiled.building import Array, Array1, Array2, Array3
 from torch_pmil.model.compiled.costs import Observation
 from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
-from torch_pmil.model.compiled.sampled_trajectory import Draws, as_rows
+from torch_pmil.model.compiled.sampled_functions import Draws, as_rows
 from torch_pmil.model.compiled.trajectory import Robot, Steps
 from torch_pmil.model.compiled.vectors import LOG2_E
 
@@ -59,11 +59,26 @@ def mean_of(model: Functions) -> Draws:
 
 def draws_of(model: Functions, drawn: Drawn, middle: Tensor) -> Draws:
     """Functions that were drawn from a robot's model, with ``middle`` of its actions' ranges."""
-    frequencies, J = drawn.frequencies, drawn.frequencies.shape[1]
-    turn = frequencies[..., -len(middle) :] @ middle  # (E, J): inputs are around the middle
-    cosines, sines = drawn.weights.split(J, -1)
+    turn = drawn.frequencies[..., -len(middle) :] @ middle  # (E, J): inputs are around the middle
+    cosines, sines = drawn.weights.chunk(2, -1)
     moved = cosines * turn.cos() + sines * turn.sin(), sines * turn.cos() - cosines * turn.sin()
-    parts = frequencies.mT, *moved, drawn.updates
+    return _draws_with(model, drawn, *moved)
+
+
+_packs_of_draws: WeakKeyDictionary[Drawn, Draws] = WeakKeyDictionary()
+
+
+def packed_draws(drawn: Drawn) -> Draws:
+    """Functions that were drawn, at inputs as they are, kept as long as they."""
+    if drawn not in _packs_of_draws:
+        model = _packed(replace(drawn.expansion, gram_inverse=None))
+        _packs_of_draws[drawn] = _draws_with(model, drawn, *drawn.weights.chunk(2, -1))
+    return _packs_of_draws[drawn]
+
+
+def _draws_with(model: Functions, drawn: Drawn, cosines: Tensor, sines: Tensor) -> Draws:
+    """Functions that were drawn, with these weights of their waves, (N, E, J) each."""
+    parts = drawn.frequencies.mT, cosines, sines, drawn.updates
     waves, cosine, sine, updates = (_with_zeros(array(each)) for each in parts)
     return _draws(model, waves, cosine, sine, updates * np.exp(model.log_signal)[:, None])
 

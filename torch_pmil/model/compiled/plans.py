@@ -31,6 +31,10 @@ class Drawn(Protocol):
     """Functions drawn from a posterior, as :class:`FunctionSamples` holds them."""
 
     @property
+    def expansion(self) -> KernelExpansion:
+        """The posterior."""
+
+    @property
     def frequencies(self) -> Tensor:
         """(E, J, D' + F)."""
 

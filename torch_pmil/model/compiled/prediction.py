@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
-from torch_pmil.model.compiled.arrays import NetworkGradient
+from torch_pmil.model.compiled.arrays import NetworkGradient, filled_up, zeros
 from torch_pmil.model.compiled.building import compile_all as compile_all
 from torch_pmil.model.compiled.costs import CostWork, write_costs, write_costs_of_means
 from torch_pmil.model.compiled.objective import PolicyObjective as PolicyObjective
@@ -24,10 +25,12 @@ from torch_pmil.model.compiled.packing import (
     gradients_of,
     mean_of,
     observation_of,
+    packed_draws,
     robots_of,
     roots_of,
 )
 from torch_pmil.model.compiled.plans import Comparison, Drawn, Plan
+from torch_pmil.model.compiled.sampled_functions import write_outputs
 from torch_pmil.model.compiled.sampled_trajectory import (
     ParticleTape,
     ParticleWork,
@@ -63,6 +66,11 @@ def follow_functions(
 ) -> Tensor:
     """States (N, B, T, D) of particles from starts (N, B, D) that follow drawn functions."""
     return _States.apply(plan, drawn, noise, units, start, *plan.controller.parameters)
+
+
+def outputs_of(drawn: Drawn, inputs: Tensor) -> Tensor:
+    r"""Outputs (N, \*batch, E) of drawn functions at inputs (N, \*batch, D' + F) of their own."""
+    return _Outputs.apply(drawn, inputs)
 
 
 class _Beliefs(torch.autograd.Function):
@@ -153,6 +161,27 @@ class _States(torch.autograd.Function):
         of_start = torch.from_numpy(d_start).transpose(0, 1)
         of_parameters = gradients_of(gradients, ctx.saved_tensors)
         return None, None, None, None, of_start, *of_parameters
+
+
+class _Outputs(torch.autograd.Function):
+    """:func:`outputs_of`; the slopes are computed along with the outputs."""
+
+    @staticmethod
+    def forward(ctx: Any, drawn: Drawn, inputs: Tensor) -> Tensor:
+        draws, (N, *batch, D) = packed_draws(drawn), inputs.shape
+        E, B = len(draws.offset), prod(batch)
+        points, scratch = array(inputs).reshape(N, B, D), (zeros(D), zeros(draws.most_terms))
+        outputs, slopes = np.empty((N, B, E)), np.empty((N, B, E, filled_up(D)))
+        write_outputs(draws, points, *scratch, outputs, slopes)
+        of_inputs = torch.from_numpy(slopes[..., :D])
+        ctx.save_for_backward(of_inputs.reshape(N, *batch, E, D))
+        return torch.from_numpy(outputs).reshape(N, *batch, E)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
+        (slopes,) = ctx.saved_tensors
+        return None, (gradient[..., None, :] @ slopes)[..., 0, :]
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:

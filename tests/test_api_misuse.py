@@ -460,7 +460,9 @@ MISUSES: list[Misuse] = [
     *wrong(
         load_policy, "must be a file of save_policy: must be a regular", ".", error=PolicyFileError
     ),
-    *wrong(STATE_POLICY.export, "an exported policy must be a .pt2 file, got p.txt", "p.txt"),
+    *wrong(
+        STATE_POLICY.export, "an exported policy must be a .pt2 or .onnx file, got p.txt", "p.txt"
+    ),
     *wrong(match_space, "names must be different, got", names=[("x", "x")]),
     *wrong(match_space, "weights must have shape (1,", weights=[ones(1, 1)]),
     *wrong(lambda: MatchSpace((), (), zeros(0, 1), zeros(0, 1)), "names must be those of one"),

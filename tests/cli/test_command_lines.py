@@ -331,7 +331,7 @@ LINES = (
     ("export none.pt out.pt2", "none.pt: a policy must have centres, inputs and actions, got 0"),
     ("export pipe.csv out.pt2", "pipe.csv: must be a file of save_policy: must be a regular file"),
     ("export /dev/zero out.pt2", "/dev/zero: must be a file of save_policy: must be a regular"),
-    ("export policy.pt out.txt", "an exported policy must be a .pt2 file, got out.txt"),
+    ("export policy.pt out.txt", "an exported policy must be a .pt2 or .onnx file, got out.txt"),
     ("export policy.pt nowhere/out.pt2", "there is no folder nowhere"),
     ("export policy.pt folder.pt2", "folder.pt2 is there already: choose another name"),
 )

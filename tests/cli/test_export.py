@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,18 @@ def test_exported_file_is_the_saved_policy(
     )
     assert capsys.readouterr().out == expected
     assert sorted(os.listdir()) == ["policy.pt", "policy.pt2"]
+
+
+def test_file_of_onnx_is_said_to_be_one_and_a_missing_extra_ends_the_command(
+    monkeypatch: pytest.MonkeyPatch, saved: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(saved.parent)
+    with monkeypatch.context() as missing:
+        missing.setitem(sys.modules, "onnx", None)
+        with pytest.raises(SystemExit, match=r"^error: .* needs onnx and onnxscript: pip install"):
+            run_command(missing, "export", "policy.pt", "policy.onnx")
+    for library in ("onnx", "onnxscript"):
+        pytest.importorskip(library, reason="needs the extra onnx")
+    run_command(monkeypatch, "export", "policy.pt", "policy.onnx")
+    assert capsys.readouterr().out.startswith("wrote policy.onnx: state q (rad), dq (rad/s); ")
+    assert sorted(os.listdir()) == ["policy.onnx", "policy.pt"]

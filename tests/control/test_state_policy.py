@@ -272,6 +272,8 @@ except ImportError:
     [
         (torch.zeros(3).double(), AssertionError, r"Guard failed: state.size\(\)\[0\] == 4"),
         (torch.zeros(2, 4).double(), AssertionError, "Guard failed: state"),
+        (torch.zeros(4, 1).double(), RuntimeError, r"input.dim\(\) = 2 is not equal to"),
+        (torch.tensor(0.0).double(), IndexError, "tuple index out of range"),
         (torch.zeros(4), RuntimeError, "dtype mismatch! Expected: Double, Got: float"),
         (torch.tensor([0.0, torch.nan, 0.0, 0.0]).double(), RuntimeError, "state must be finite"),
         (torch.tensor([0.0, torch.inf, 0.0, 0.0]).double(), RuntimeError, "state must be finite"),
@@ -287,7 +289,7 @@ def test_exported_program_refuses_wrong_states(
 def test_exported_batch_program_refuses_one_state_and_other_sizes(
     batch_program: Callable[[Tensor], Tensor],
 ) -> None:
-    for shape in ((4,), (2, 3), (2, 3, 4), (2, 4, 3)):
+    for shape in ((4,), (2, 3), (2, 3, 4), (2, 4, 3), (2, 4, 1)):
         with pytest.raises((AssertionError, IndexError, RuntimeError)):
             batch_program(torch.zeros(shape, dtype=torch.float64))
 
@@ -297,7 +299,7 @@ def test_exported_program_refuses_batches_even_where_sizes_would_fit(
 ) -> None:
     """As many centres as features, and as many states as entries."""
     on_a_line(draws, centres=2).export(tmp_path / "policy.pt2")
-    with pytest.raises(RuntimeError, match="invalid for input of size 4"):
+    with pytest.raises(RuntimeError, match=r"input.dim\(\) = 2 is not equal to len\(dims\) = 1"):
         torch.export.load(tmp_path / "policy.pt2").module()(torch.zeros(2, 2, dtype=torch.float64))
 
 

@@ -38,6 +38,7 @@ LAWS = {  # of the numbers that a page prints, beyond its promise
         (r"sent 25 torques in (\S+) s", lambda seconds: seconds > 2.3),
         (r"the tip is (\S+) m from", lambda distance: distance <= SUCCESS_DISTANCE),
         (r"differ by (\S+) N", lambda difference: difference < 1e-12),
+        (r"differs by (\S+) N", lambda difference: difference < 1e-12),
     ],
     "docs/how_to/torchrl.md": [(r"itself: (\S+)\nfrom the rollout above: (\S+)", float.__eq__)],
 }

@@ -30,7 +30,7 @@ COMMANDS = {  # in the order in which they are used; each is the module of that 
     "resume": "continue a run that was stopped",
     "report": "write the report of a finished run again",
     "summarize": "combine several runs: table, main numbers, learning curve",
-    "export": "export a learned policy as a program that needs only PyTorch",
+    "export": "export a learned policy as a program of PyTorch or of ONNX",
     "compile": "compile the prediction for this processor now, not in the first training",
 }
 HELP = """\

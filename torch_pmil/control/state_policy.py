@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,12 +13,9 @@ from torch import Tensor, nn
 
 from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.exported_policy import write_program
 from torch_pmil.control.module_policy import AnyPolicy
-from torch_pmil.control.policy import Act
-from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace, with_unit
-from torch_pmil.files import replacing
-from torch_pmil.gp.kernel_expansion import KernelExpansion
 
 State = TypeVar("State", np.ndarray, Tensor)
 
@@ -107,34 +103,29 @@ class StatePolicy(nn.Module):
         return TensorDictModule(self, in_keys=in_keys, out_keys=["action"])
 
     def export(self, path: Path | str, batch: bool = False) -> None:
-        """Write a program for ``torch.export.load``, which needs nothing but PyTorch.
+        """Write a program that needs only PyTorch (.pt2), or a runtime of ONNX (.onnx).
 
-        Its inputs, state and target, are finite float64 tensors on the CPU; it raises an error at
-        others.
+        Its inputs, state and target, are finite float64 tensors on the CPU. A .pt2 file is for
+        ``torch.export.load``. Its program raises an error at other inputs, in PyTorch's words: at
+        another size, "Guard failed" with the expected size; at too few dimensions, an IndexError
+        without a shape.
+
+        A .onnx file holds the same float64 program, with inputs ``state`` and ``target`` and output
+        ``action``. ONNX has no checks of values, so that it is up to the caller that inputs are
+        finite. Writing it needs the extra ``onnx``.
 
         Args:
-            path: the file to write, ending in .pt2.
+            path: the file to write, ending in .pt2 or .onnx.
             batch: whether it takes states (N, D) and targets (N, K), any N, or (D,) and (K,).
 
         Raises:
             ValueError: the file has another ending.
+            ModuleNotFoundError: the extra ``onnx`` is not installed.
             OSError: the file cannot be written.
 
         Example: see ``docs/how_to/deploy.md``.
         """
-        path = Path(path)
-        if path.suffix != ".pt2":
-            raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
-        program = _Program(_constant(self.policy.controller), self.space)
-        dims = [self.space.dim, *([len(self.target_names)] if self.target_names else [])]
-        shape = (2,) if batch else ()
-        examples = tuple(torch.zeros(*shape, dim, dtype=torch.float64) for dim in dims)
-        # the first call caches tensors, which must not come from the tracer
-        program(*examples)
-        shapes = tuple({0: torch.export.Dim("N", min=0)} for _ in dims) if batch else None
-        exported = torch.export.export(program, examples, dynamic_shapes=shapes)
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            torch.export.save(exported, file)
+        write_program(path, self.policy.controller, self.space, len(self.target_names), batch)
 
     def _checked(self, what: str, state: np.ndarray | Tensor, names: Sequence[str]) -> Tensor:
         """The argument ``what``, after checks, as float64 tensor on the policy's device."""
@@ -179,41 +170,6 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
     return not (state.is_complex() or state.dtype == torch.bool)
 
 
-def _constant(controller: Act) -> Act:
-    """This controller with tensors on the CPU that are neither parameters nor views."""
-    if isinstance(controller, nn.Module):
-        return copy.deepcopy(controller).cpu().requires_grad_(False)
-    assert isinstance(controller, Controller)
-
-    def constant(tensor: Tensor) -> Tensor:
-        return tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
-
-    parameters = *controller.parameters, controller.network.signal_variance
-    network = KernelExpansion(*map(constant, parameters))
-    return Controller(network, constant(controller.u_max), constant(controller.u_middle))
-
-
 def _same_range(actions: ActionSpace, others: ActionSpace) -> bool:
     one, other = (torch.stack([each.low, each.high]).cpu().double() for each in (actions, others))
     return one.shape == other.shape and torch.allclose(one, other)
-
-
-class _Program(nn.Module):
-    """The exported program: no Python decides, so the checks are operations of the graph."""
-
-    def __init__(self, controller: Act, space: StateSpace) -> None:
-        super().__init__()
-        self.controller, self.space = controller, space
-
-    def forward(self, state: Tensor, target: Tensor | None = None) -> Tensor:
-        inputs = self.space.features(_finite("state", state))
-        if target is not None:
-            inputs = torch.cat([inputs, _finite("target", target)], -1)
-        return self.controller(inputs)
-
-
-def _finite(what: str, given: Tensor) -> Tensor:
-    # the view leaves checks of the dtype and of the number of dimensions in the graph
-    given = given.double().view(given.shape)
-    torch._assert_async(given.isfinite().all(), f"{what} must be finite")
-    return given

@@ -106,7 +106,7 @@ class Learner:
         )
 
     def export(self, path: Path | str, batch: bool = False) -> None:
-        """Write the policy as a program that needs only PyTorch, see :meth:`StatePolicy.export`."""
+        """Write the policy as a program of PyTorch or ONNX, see :meth:`StatePolicy.export`."""
         self.policy.export(path, batch)
 
     def evaluate(self, starts: int = MEASURED_STARTS, seed: int = Stream.EVALUATED_STARTS) -> float:

@@ -7,26 +7,27 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive_entries, check_tensor, check_whole
+from torch_pmil.checks import check_positive_entries, check_tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.lbfgs import minimise
 
 MakeModule = Callable[[int, int], nn.Module]  # from the numbers of features and of actions
 
-FITS, RATE = 300, 0.01  # steps of Adam by which a module learns given actions
+FITS = 100  # iterations of L-BFGS by which a module learns given actions
 
 
 class ModulePolicy(nn.Module):
-    r"""Any module whose output is limited to the range of the actions.
+    r"""Any module whose output is squashed to the range of the actions.
 
-    .. math:: \pi(x) = \bar u + u_{\max} \tanh\left(\frac{f(x) - \bar u}{u_{\max}}\right)
+    .. math:: \pi(x) = \bar u + u_{\max} \tanh f(x / s)
 
-    The module f maps features (\*batch, D') to actions (\*batch, F), both in their units. Its
-    parameters are what is searched. It has no moments in closed form, so that it is predicted by
-    samples. Its numbers become float64.
+    The module f maps features (\*batch, D'), divided by their typical sizes s, to (\*batch, F). So
+    its parameters are of order one in any units, as a search by Adam needs them. It has no moments
+    in closed form, and is predicted by samples. Its numbers become float64.
 
     Args:
         module: f.
-        num_inputs: D'.
+        scale: s, (D',), in the units of the features.
         u_max: largest distances (F,) of an action from the middle of its range, in its unit.
         u_middle: middles of the actions' ranges (F,).
 
@@ -36,26 +37,34 @@ class ModulePolicy(nn.Module):
 
     Example:
         >>> one = torch.ones(1)
-        >>> policy = ModulePolicy(nn.Linear(3, 1), 3, u_max=one, u_middle=0 * one)
+        >>> policy = ModulePolicy(nn.Linear(3, 1), torch.ones(3), u_max=one, u_middle=0 * one)
         >>> policy(torch.zeros(5, 3)).shape
         torch.Size([5, 1])
     """
 
     u_max: Tensor
     u_middle: Tensor
+    scale: Tensor
 
-    def __init__(self, module: nn.Module, num_inputs: int, u_max: Tensor, u_middle: Tensor) -> None:
+    def __init__(self, module: nn.Module, scale: Tensor, u_max: Tensor, u_middle: Tensor) -> None:
         super().__init__()
         if not isinstance(module, nn.Module):
             raise TypeError(f"policy must be a torch.nn.Module, got {type(module).__name__}")
-        check_whole("num_inputs", num_inputs, 1)
+        check_tensor("scale", scale, ("inputs",))
+        check_positive_entries("scale", scale)
         check_tensor("u_max", u_max, ("F",))
         check_positive_entries("u_max", u_max)
         check_tensor("u_middle", u_middle, (len(u_max),))
-        self.module, self.num_inputs = module.double(), num_inputs
+        self.module = module.double()
+        self.register_buffer("scale", scale.double())
         self.register_buffer("u_max", u_max.double())
         self.register_buffer("u_middle", u_middle.double())
         self._check()
+
+    @property
+    def num_inputs(self) -> int:
+        """Number D' of features that it sees."""
+        return len(self.scale)
 
     @property
     def controller(self) -> ModulePolicy:
@@ -64,21 +73,16 @@ class ModulePolicy(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Action (*batch, F) at features of the state (*batch, D')."""
-        output = self.module(features.double())
-        return self.u_middle + self.u_max * ((output - self.u_middle) / self.u_max).tanh()
+        return self.u_middle + self.u_max * self.module(features.double() / self.scale).tanh()
 
     def fit_weights(self, features: Tensor, actions: Tensor) -> None:
         """Fit the parameters to given actions (S, F) at features (S, D') by least squares."""
-        parameters = list(self.parameters())
-        adam = torch.optim.Adam(parameters, RATE)
-        for _ in range(FITS):
-            error = ((self(features) - actions) / self.u_max).square().mean()
-            for parameter, slope in zip(
-                parameters, torch.autograd.grad(error, parameters, allow_unused=True), strict=True
-            ):
-                parameter.grad = slope
-            adam.step()
-        adam.zero_grad()
+        parameters = [each for each in self.parameters() if each.requires_grad]
+
+        def error() -> Tensor:
+            return ((self(features) - actions) / self.u_max).square().mean()
+
+        minimise(parameters, error, FITS)
 
     @torch.no_grad()
     def _check(self) -> None:
@@ -86,7 +90,7 @@ class ModulePolicy(nn.Module):
         if not any(parameter.requires_grad for parameter in self.module.parameters()):
             raise ValueError("policy must have parameters to search, got a module without any")
         features = torch.zeros(2, self.num_inputs, dtype=torch.float64)
-        wanted = f"features (2, {self.num_inputs}) to actions (2, {len(self.u_max)})"
+        wanted = f"features (2, {self.num_inputs}) to (2, {len(self.u_max)})"
         try:
             output = self.module(features)
         except RuntimeError as error:  # PyTorch's for shapes that do not fit

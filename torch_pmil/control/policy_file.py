@@ -145,8 +145,8 @@ def _network(content: Mapping[str, Any], inputs: int, make: MakeModule | None) -
     u_max = parameters.get("u_max")
     if not (isinstance(u_max, Tensor) and u_max.ndim == 1 and is_whole(u_max)):
         raise PolicyFileError(f"parameter u_max must be a tensor (F,), got {short(u_max)}")
-    ones = torch.ones(len(u_max), dtype=torch.float64)
-    network = ModulePolicy(make(inputs, len(ones)), inputs, ones, 0 * ones)
+    F, like = len(u_max), torch.ones(inputs, dtype=torch.float64)
+    network = ModulePolicy(make(inputs, F), like, torch.ones(F), torch.zeros(F))
     fresh = network.state_dict()
     if parameters.keys() != fresh.keys():
         raise PolicyFileError(

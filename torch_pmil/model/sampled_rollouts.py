@@ -142,7 +142,7 @@ class SampledPrediction:
         >>> from torch import nn
         >>> from torch_pmil import GPDynamics, ModulePolicy, joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> policy = ModulePolicy(nn.Linear(1, 1), 1, torch.ones(1), torch.zeros(1))
+        >>> policy = ModulePolicy(nn.Linear(1, 1), *torch.ones(2, 1), torch.zeros(1))
         >>> dynamics = GPDynamics(2, 1)
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
         >>> start = Gaussian(torch.zeros(1).double(), torch.eye(1).double())

@@ -141,10 +141,15 @@ def _task(
 
 
 def _failed(success: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
-    """An error (N,) that is 1 where a motion is no success."""
+    """An error (*batch) of states (*batch, T + 1, D) that is 1 where a motion is no success."""
     if not callable(success):
         raise TypeError(f"success must be a function of states, got {type(success).__name__}")
-    return lambda states: 1 - success(states).double()
+
+    def failed(states: Tensor) -> Tensor:
+        motions = states.reshape(-1, *states.shape[-2:])
+        return 1 - success(motions).double().reshape(states.shape[:-2])
+
+    return failed
 
 
 def of_target(

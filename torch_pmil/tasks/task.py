@@ -233,7 +233,8 @@ class Task(Settings):
         """Policy and model of a user's own, as a run's settings hold them."""
         method, parts = self.method, dict[str, object]()
         if method.make_module is not None:
-            parts["policy"] = str(self._own_policy(len(self.space.feature_names), 0).module)
+            ones = torch.ones(len(self.space.feature_names), dtype=torch.float64)
+            parts["policy"] = str(self._own_policy(ones, 0).module)
         if method.own_model is not None:
             parts["model"] = type(method.own_model).__name__
         return parts
@@ -331,7 +332,7 @@ class Task(Settings):
         if self.method.make_module is None:
             policy: AnyPolicy = self._network_near(inputs, generator)
         else:
-            policy = self._own_policy(inputs.shape[-1], draw_seed(generator))
+            policy = self._own_policy(self._spread(inputs), draw_seed(generator))
         if self.holding_actions is not None:
             held = self.initial.sample(HELD_STARTS, generator)
             if self.held_states is not None:
@@ -339,14 +340,14 @@ class Task(Settings):
             policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
         return policy
 
-    def _own_policy(self, num_inputs: int, seed: int) -> ModulePolicy:
+    def _own_policy(self, scale: Tensor, seed: int) -> ModulePolicy:
         """A new policy by a module of a user's own, made under a seed of PyTorch's generator."""
         actions, make = self.actions, self.method.make_module
         assert make is not None
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            module = make(num_inputs, len(actions.names))
-        return ModulePolicy(module, num_inputs, actions.half_range, actions.middle)
+            module = make(len(scale), len(actions.names))
+        return ModulePolicy(module, scale, actions.half_range, actions.middle)
 
     def _network_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
         """An RBF network with centres near some of the inputs and small random weights."""

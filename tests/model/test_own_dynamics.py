@@ -1,0 +1,187 @@
+"""A forward model of one's own beside the GPs that it wraps, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+from tests.helpers.draws import Draws
+from tests.model.test_rollout import assert_moments_of
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.own_dynamics import OwnDynamics
+from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.model.sampled_rollouts import SampledPrediction, sample_consistent_rollouts
+
+PLAIN = StateSpace(("a", "b"), ("", ""), (), joint_match(("a", "b"), ("", "")))
+NOISE = 0.05
+
+
+class OfGP:
+    """A GP of a known noise."""
+
+    def fit(self, inputs: Tensor, targets: Tensor) -> None:
+        self.gp = GPDynamics(3, 2)
+        self.gp.set_data(inputs, targets)
+        self.gp.gp.likelihood.noise = torch.full((2, 1), NOISE, dtype=torch.float64)
+
+
+class ByMoments(OfGP):
+    """Mean and variance, noise included."""
+
+    def moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        mean, variance = self.gp.predict(inputs)
+        return mean, variance + self.gp.noise
+
+
+class BySamples(OfGP):
+    """Functions that are drawn, without noise."""
+
+    def sample(self, count: int, generator: torch.Generator) -> Any:
+        return self.gp.functions(count, generator)
+
+
+class Drawn:
+    """A network whose fit draws from PyTorch's generator and goes on from its last weights."""
+
+    def __init__(self) -> None:
+        self.module = nn.Linear(3, 2)
+
+    def fit(self, inputs: Tensor, targets: Tensor) -> None:
+        with torch.no_grad():
+            self.module.weight.add_(torch.randn(2, 3) + targets.mean())
+
+    def moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        mean = self.module.double()(inputs)
+        return mean, torch.ones_like(mean)
+
+
+def data(draws: Draws) -> tuple[Tensor, Tensor]:
+    inputs = draws.normal(25, 3)
+    return inputs, torch.stack([inputs[:, 0].sin(), inputs[:, 1]], -1)
+
+
+def policy() -> RBFPolicy:
+    made = RBFPolicy(torch.zeros(1, 2), torch.ones(1), torch.ones(2))
+    made.weights.data.fill_(0.5)
+    return made
+
+
+@torch.no_grad()
+def test_one_step_by_moments_is_the_one_that_is_matched(draws: Draws) -> None:
+    """Exact for one step, though each function keeps its distance from the mean."""
+    own, gp, known = OwnDynamics(ByMoments(), 3, 2), ByMoments(), data(draws)
+    own.fit(*known)
+    gp.fit(*known)
+    state = draws.belief(2)
+    given = SampledPrediction(100_000).rollouts(state, policy(), own, PLAIN, 1)
+    assert_moments_of(given[:, 1], predict_trajectory(state, policy(), gp.gp, PLAIN, 1)[0])
+
+
+@torch.no_grad()
+def test_functions_of_the_object_are_followed(draws: Draws) -> None:
+    own, known = OwnDynamics(BySamples(), 3, 2), data(draws)
+    own.fit(*known)
+    start = draws.belief(2)
+    states = []
+    for dynamics in (own, own.own.gp):
+        functions = dynamics.functions(50, torch.Generator().manual_seed(1))
+        generator = torch.Generator().manual_seed(2)
+        given = functions, 50, own, PLAIN, 6, generator
+        states.append(sample_consistent_rollouts(start, policy(), *given))
+    assert_close(*states, rtol=1e-9, atol=1e-9)
+
+
+@torch.no_grad()
+def test_particle_stays_as_far_from_the_mean_as_it_began(draws: Draws) -> None:
+    own = OwnDynamics(ByMoments(), 3, 2)
+    own.fit(*data(draws))
+    functions = own.functions(4, torch.Generator().manual_seed(0))
+    apart = []
+    for _ in range(2):
+        inputs = draws.normal(3).expand(4, 3)
+        mean, variance = own.predict(inputs)
+        apart.append((functions(inputs) - mean) / variance.sqrt())
+    assert_close(*apart)
+
+
+def test_every_fit_begins_anew_and_repeats_itself(draws: Draws) -> None:
+    """So a run that was stopped predicts as one that was not."""
+    model, known = Drawn(), data(draws)
+    before, own = model.module.weight.clone(), OwnDynamics(model, 3, 2)
+    state = torch.random.get_rng_state()
+    own.fit(*known)
+    first = own.predict(known[0])[0].detach()
+    own.fit(*known)
+    assert torch.equal(own.predict(known[0])[0], first)
+    resumed = OwnDynamics(model, 3, 2)
+    resumed.load_state_dict(own.state_dict())
+    assert torch.equal(resumed.predict(known[0])[0], first)
+    assert torch.equal(model.module.weight, before)  # a user's object stays as it is
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert not list(own.parameters())
+
+
+def test_mean_and_variance_of_an_object_without_moments_are_those_of_its_functions(
+    draws: Draws,
+) -> None:
+    own, gp, known = OwnDynamics(BySamples(), 3, 2), ByMoments(), data(draws)
+    own.fit(*known)
+    gp.fit(*known)
+    at = draws.normal(4, 3)
+    with torch.no_grad():
+        mean, variance = own.predict(at)
+        exact, spread = gp.gp.predict(at)
+    error = spread.sqrt() / 200**0.5
+    assert ((mean - exact).abs() < 5 * error + 1e-6).all()
+    assert_close(variance, spread, rtol=0.6, atol=1e-3)
+
+
+class _Wrong(ByMoments):
+    def __init__(self, found: Any) -> None:
+        self.found = found
+
+    def moments(self, inputs: Tensor) -> Any:
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("found", "error", "message"),
+    [
+        (torch.zeros(2), TypeError, "must return mean and variance, got Tensor"),
+        ((torch.zeros(5, 2), torch.zeros(5)), ValueError, r"must give a tensor \(5, 2\)"),
+        ((torch.zeros(5, 2), -torch.ones(5, 2)), ValueError, "must give variances, got -1"),
+        ((0.0, 1.0), ValueError, r"must give a tensor \(5, 2\) at inputs \(5, 3\), got float"),
+    ],
+)
+def test_wrong_moments_are_refused(
+    found: Any, error: type[Exception], message: str, draws: Draws
+) -> None:
+    own = OwnDynamics(_Wrong(found), 3, 2)
+    own.fit(*data(draws))
+    with pytest.raises(error, match=message):
+        own.predict(torch.zeros(5, 3, dtype=torch.float64))
+
+
+def test_object_without_the_methods_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"fit.*got Linear with none of them"):
+        OwnDynamics(nn.Linear(3, 2), 3, 2)
+
+
+def test_model_without_data_says_so() -> None:
+    with pytest.raises(RuntimeError, match="no data yet"):
+        OwnDynamics(ByMoments(), 3, 2).functions(1, torch.Generator())
+
+
+def test_prediction_by_moments_names_the_one_by_samples(draws: Draws) -> None:
+    own = OwnDynamics(ByMoments(), 3, 2)
+    own.fit(*data(draws))
+    start = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
+    with pytest.raises(TypeError, match=r"got RBFPolicy and OwnDynamics: .* SampledPrediction"):
+        predict_trajectory(start, policy(), own, PLAIN, 3)

@@ -15,16 +15,25 @@ def error(states: Tensor) -> Tensor:
     return states[..., 0, 0]
 
 
+@pytest.mark.parametrize("measured", [None, 0.95])
 @pytest.mark.parametrize(("confirmations", "needed"), [(1, AGAIN), (5, 5)])
 def test_own_successes_again_and_again_end_a_run_whatever_is_promised(
-    confirmations: int, needed: int
+    confirmations: int, needed: int, measured: float | None
 ) -> None:
     ending = Ending(9, confirmations, Promise(0.95, error, 0.1))
-    poor = SimpleNamespace(own_success=True, promised_success_rate=0.5)
+    poor = SimpleNamespace(own_success=True, promised_success_rate=0.5, success_rate=measured)
     failed = SimpleNamespace(own_success=False, promised_success_rate=None)
     assert ending.reason([failed, *[poor] * (needed - 1)]) == ""
     assert "trials in a row succeeded" in ending.reason([failed, *[poor] * needed])
     assert ending.reason([*[poor] * (needed - 1), failed]) == ""
+
+
+def test_own_successes_end_no_run_whose_policy_was_measured_to_fail_too_often() -> None:
+    poor = SimpleNamespace(own_success=True, promised_success_rate=0.5, success_rate=0.9)
+    ending = Ending(9, 1, Promise(0.95, error, 0.1))
+    assert ending.reason([poor] * AGAIN) == ""
+    good = SimpleNamespace(**{**vars(poor), "success_rate": 1.0})
+    assert "three trials in a row" in ending.reason([poor, poor, good])
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from torch_pmil.tasks.with_history import Resting
 SPAN = 4  # over which models predict, in longest steps
 FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # what models that count as alike may lose: a share of the least, and nats for each observed entry,
-# those of an error of a quarter of the observation noise
-ALIKE, SMALL = 1.25, 0.03
+# those of an error of half the observation noise
+ALIKE, SMALL = 1.25, 0.125
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion was
 # too short to learn from, and short steps leave the next models the most data
 GOOD = 1.5

@@ -23,8 +23,9 @@ class Ending:
         trials: largest number of trials.
         confirmations: own successes in a row without which no run ends.
         promise: what the newest model must predict after the last of them, unless the two newest
-            predict the rate itself after two successes, or there are ``AGAIN`` in a row; None if no
-            success is predicted, so that the confirmations alone end the run.
+            predict the rate itself after two successes, or there are ``AGAIN`` in a row and the
+            last policy's rate from fresh starts, if it was measured, is the promised one; None if
+            no success is predicted, so that the confirmations alone end the run.
 
     Example:
         >>> Ending(trials=0)
@@ -54,7 +55,8 @@ class Ending:
             if self._twice(trials):
                 least = f"{self.promise.rate:.1%} of the starts"
                 return f"{_done(2)}, and both models predict success from {least}"
-        if _succeeded(trials, again := max(AGAIN, self.confirmations)):
+        again = max(AGAIN, self.confirmations)
+        if _succeeded(trials, again) and self._measured(trials[-1]):
             return _done(again)
         return LIMIT if len(trials) >= self.trials else ""
 
@@ -67,6 +69,11 @@ class Ending:
         assert self.promise is not None
         rates = [trial.promised_success_rate or 0.0 for trial in trials[-2:]]
         return _succeeded(trials, 2) and min(rates) >= self.promise.rate
+
+    def _measured(self, trial: Trial) -> bool:
+        """Whether no measurement from fresh starts contradicts the promise."""
+        assert self.promise is not None
+        return trial.success_rate is None or trial.success_rate >= self.promise.rate
 
     def unmet(self, trials: Sequence[Trial]) -> str:
         """What a run lacked that ended at its limit though own rollouts succeeded; "" for others.

@@ -55,7 +55,8 @@ class TrialSearch:
     With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
     first, from the last policy, and then the loss from there. The second policy is kept if it keeps
     the promise, else the one of less expected cost. Where policy, model or cost has no moments in
-    closed form, the search on samples is the whole search.
+    closed form, the search on samples is the whole search, and goes on from a random policy if it
+    led to nothing better than before.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -90,8 +91,7 @@ class TrialSearch:
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )
         if not loss.has_moments:
-            self.result = self._on_samples(loss, initial, settings.sample_steps or ALONE)
-            return self.result
+            return self._on_samples_alone(loss, initial)
         if settings.sample_steps:
             return self._begun_on_samples(loss, initial, search)
         self.result = search(random=self._least == math.inf)
@@ -128,18 +128,46 @@ class TrialSearch:
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
         """Search on samples, then the loss, and keep the better of the two policies."""
-        network = loss.actor_network
         first = self._on_samples(loss, initial, self.settings.sample_steps)
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
-        expected, found = judge(), copy.deepcopy(network.state_dict())
-        second, promise = search(), self.promise
-        keeps = promise is not None and promise.predicted(loss, initial).least >= promise.aim
-        if keeps or judge() < expected:
+        expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
+        second = search()
+        better = self._keeps_promise(loss, initial) or judge() < expected
+        return self._kept(loss, (first, found), second, better)
+
+    def _on_samples_alone(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchResult:
+        """Search on samples, from a random policy too where the last one led to nothing better."""
+        steps = self.settings.sample_steps or ALONE
+        self.result = first = self._on_samples(loss, initial, steps)
+        judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
+        expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
+        least, self._least = self._least, min(self._least, expected)
+        if expected < PROGRESS * least or self._keeps_promise(loss, initial):
+            return first
+        loss.actor_network.load_state_dict(self.make_policy().state_dict())
+        second, other = self._on_samples(loss, initial, steps), judge()
+        self._least = min(self._least, other)
+        return self._kept(loss, (first, found), second, other < expected)
+
+    def _kept(
+        self,
+        loss: TrajectoryLoss,
+        before: tuple[SearchResult, dict[str, Tensor]],
+        second: SearchResult,
+        better: bool,
+    ) -> SearchResult:
+        """The second outcome if it is better, else the one before with its parameters."""
+        first, parameters = before
+        if better:
             self.result = second.with_work_of(first)
         else:
-            network.load_state_dict(found)
+            loss.actor_network.load_state_dict(parameters)
             self.result = first.with_work_of(second)
         return self.result
+
+    def _keeps_promise(self, loss: TrajectoryLoss, initial: Gaussian) -> bool:
+        promise = self.promise
+        return promise is not None and promise.predicted(loss, initial).least >= promise.aim
 
     def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
         """Search the whole horizon on samples, from the present policy."""
@@ -157,15 +185,11 @@ class TrialSearch:
         self, loss: TrajectoryLoss, start: AnyPolicy, search: Callable[[], SearchResult]
     ) -> bool:
         """Search from another start, keep the better of the two policies, and say if it is new."""
-        found = copy.deepcopy(loss.actor_network.state_dict())
+        found = self.result, copy.deepcopy(loss.actor_network.state_dict())
         loss.actor_network.load_state_dict(start.state_dict())
         second = search()
         better = second.loss < self.result.loss
-        if better:
-            self.result = second.with_work_of(self.result)
-        else:
-            loss.actor_network.load_state_dict(found)
-            self.result = self.result.with_work_of(second)
+        self._kept(loss, found, second, better)
         return better
 
     def state_dict(self) -> dict[str, Any]:

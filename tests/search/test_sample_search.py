@@ -144,3 +144,37 @@ def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None
     states = sample_search.sample_consistent_rollouts(INITIAL, loss.actor_network, *given)
     spread = states.flatten(0, -2).std(0)
     assert_close(units, sample_search.PARTICLES * spread, rtol=0.2, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("promised", "costs", "kept"),
+    [
+        (1.0, (1.0, 1.0), [1, 2]),
+        (0.5, (1.0, 0.7), [1, 2]),
+        (0.5, (1.0, 0.9, 0.8), [1, 3]),
+        (0.5, (1.0, 0.9, 0.95), [1, 2]),
+    ],
+    ids=["promise kept", "progress", "a random policy leads further", "it does not"],
+)
+def test_trial_on_samples_alone_begins_anew_without_progress(
+    monkeypatch: pytest.MonkeyPatch, promised: float, costs: tuple[float, ...], kept: list[int]
+) -> None:
+    loss, left, searches = integrator(), iter(costs), iter(range(1, 9))
+    found = trial_search.search_on_samples
+
+    def marked(*arguments: object) -> object:
+        result = found(*arguments)
+        loss.actor_network.weights.data.fill_(next(searches))
+        return result
+
+    monkeypatch.setattr(type(loss), "has_moments", property(lambda _: False))
+    monkeypatch.setattr(trial_search, "search_on_samples", marked)
+    monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
+    settings = SearchSettings(2, 2, 2, sample_steps=3)
+    search = TrialSearch(
+        settings, lambda: integrator().actor_network, generator(), Scripted(promised)
+    )
+    for number in kept:
+        search.run(loss, INITIAL, None)
+        assert loss.actor_network.weights[0, 0].item() == number
+    assert next(left, None) is None

@@ -19,6 +19,7 @@ from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.imperfect import IMPERFECT
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
+from reproduction.own_parts import OWN_PARTS
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.pilco_scenarios import PILCO_SCENARIOS
@@ -65,5 +66,6 @@ PAPER = {
         ACROBOT,
         IMPERFECT,
         PILCO_SCENARIOS,
+        OWN_PARTS,
     )
 }

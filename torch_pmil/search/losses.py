@@ -101,6 +101,10 @@ class TrajectoryKLLoss(TrajectoryLoss):
         half_square = super().sample_costs(states)
         return torch.log1p(2 * half_square / (FAR * self.space.match_space.dim))
 
+    def typical_cost(self, states: Tensor) -> Tensor:
+        """One: a logarithm is of that size, however far the states are."""
+        return torch.ones_like(states[0, ..., 0, 0]).mean()
+
     def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cross-entropy of the prediction and the demonstrations at each step, (*batch, horizon).
 

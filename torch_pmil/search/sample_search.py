@@ -70,10 +70,12 @@ def search_on_samples(
 def _units(loss: TrajectoryLoss, initial: Gaussian, generator: torch.Generator) -> Tensor:
     """Units in which the gradient of a particle is bounded: the spread of all states, (D,).
 
-    A cost that is a mean over particles changes by 1 / N at most when one state moves by as much.
+    When one state moves by as much, a cost that is a mean over particles changes by 1 / N of the
+    typical cost of a step at most.
     """
     states = _rollouts(loss, initial, PARTICLES, generator)
-    return states[..., 0, 0].numel() * states.flatten(0, -2).std(0)
+    spread = states[..., 0, 0].numel() * states.flatten(0, -2).std(0)
+    return spread / loss.typical_cost(states)
 
 
 def _rollouts(

@@ -210,6 +210,11 @@ class TrajectoryLoss(LossModule):
         r"""Costs (N, \*batch, T) of sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""
         return self._mean_costs(self.space.observe(states[..., 1:, :]))
 
+    def typical_cost(self, states: Tensor) -> Tensor:
+        r"""Size of a step's cost along sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""
+        costs = self.sample_costs(states).abs()
+        return costs.mean().clamp(min=torch.finfo(costs.dtype).tiny)
+
     def objective(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Objective | None:

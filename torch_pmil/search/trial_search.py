@@ -94,7 +94,7 @@ class TrialSearch:
             return self._on_samples_alone(loss, initial)
         if settings.sample_steps:
             return self._begun_on_samples(loss, initial, search)
-        self.result = search(random=self._least == math.inf)
+        self.result = search(random=self._least == math.inf and not succeeded)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
             new = self.make_policy()
@@ -123,6 +123,10 @@ class TrialSearch:
             self.result = search_for_success(*known, credit, others, report, optimizer)
             self._credit -= self.result.evaluations - before
         return self.result
+
+    def begin_anew(self) -> None:
+        """Compare no coming loss with those before, since another is minimised from now on."""
+        self._least = math.inf
 
     def _begun_on_samples(
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]

@@ -9,6 +9,7 @@ import torch
 
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Candidate, Trial
@@ -32,6 +33,9 @@ def best_candidate(
     the smallest error of the own rollout, where all successes count the same. Next come the longest
     own rollout and the smallest predicted loss.
 
+    If the loss is improving, all policies that keep the promised rate are alike in it, and the last
+    is the smallest expected cost.
+
     Args:
         candidates: one at least.
         trials: all of the run.
@@ -41,6 +45,9 @@ def best_candidate(
         tolerance: largest error of a success.
     """
 
+    improving = isinstance(loss, ImprovingKLLoss) and loss.improving
+    judged = loss.cost if improving else loss
+
     def merit(candidate: Candidate) -> tuple[float, ...]:
         loss.actor_network.load_state_dict(candidate.parameters)
         trial, predicted = trials[candidate.trial - 1], None
@@ -48,7 +55,9 @@ def best_candidate(
             predicted = min(promise.predicted(loss, initial).least, promise.aim)
         error = max(candidate.own_error, tolerance)
         rate = _known_rate(trial, error <= tolerance, predicted)
-        return error < math.inf, rate, -error, trial.steps, -_predicted_loss(loss, initial)
+        if improving and promise is not None:
+            rate = min(rate, promise.rate)
+        return error < math.inf, rate, -error, trial.steps, -_predicted_loss(judged, initial)
 
     chosen = max(candidates, key=merit)
     loss.actor_network.load_state_dict(chosen.parameters)

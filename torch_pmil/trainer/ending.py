@@ -12,6 +12,7 @@ from torch_pmil.trainer.trials import Trial
 
 LIMIT = "limit of trials"
 AGAIN = 3  # own successes in a row that end a run, whatever the model promises
+SETTLED = 0.98  # of the loss of the trial before, above which an improvement has come to its end
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -60,6 +61,25 @@ class Ending:
             return _done(again)
         return LIMIT if len(trials) >= self.trials else ""
 
+    def imitated(self, trials: Sequence[Trial]) -> int:
+        """Number of the first trial after which a run ends without its limit; 0 if there is none.
+
+        It is that of the last trial of imitation, in a run that then improves.
+        """
+        counts = range(1, len(trials) + 1)
+        return next((n for n in counts if self.reason(trials[:n]) not in ("", LIMIT)), 0)
+
+    def improved(self, trials: Sequence[Trial]) -> str:
+        """Why a run ends that has improved what it imitated; "" if it continues.
+
+        Its trials of improvement must end a run of their own, and the last of them must have
+        lowered the predicted loss by less than a fiftieth.
+        """
+        own = trials[self.imitated(trials) :]
+        if len(own) > 1 and own[-1].loss >= SETTLED * own[-2].loss and (done := self.reason(own)):
+            return f"{done}, and the predicted loss fell by less than {1 - SETTLED:.0%}"
+        return LIMIT if len(trials) >= self.trials else ""
+
     def _twice(self, trials: Sequence[Trial]) -> bool:
         """Whether two trials in a row succeeded whose models predict the promised rate itself.
 
@@ -81,7 +101,7 @@ class Ending:
         A lower promise that would have ended it sooner is named, if there is one.
         """
         succeeded = sum(trial.own_success for trial in trials)
-        if not succeeded or self.reason(trials) != LIMIT:
+        if not succeeded or self.reason(trials) != LIMIT or self.imitated(trials):
             return ""
         done = f"the own rollout succeeded in {succeeded} of {len(trials)} trials, but"
         counts = range(1, len(trials) + 1)

@@ -22,6 +22,7 @@ from torch_pmil.control.exploration import CautiousMotion
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.experience import FEWEST_TRANSITIONS, Experience
 from torch_pmil.search.admission import admit
+from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess
 from torch_pmil.search.trial_search import TrialSearch
@@ -49,7 +50,8 @@ class PMILTrainer(Trainer):
     after each later one, the model is fitted to all experience, the policy is searched on it, and
     the policy may be measured from fresh starts, which is no experience and decides only which
     policy is best. The next batch is that policy's rollout on the robot. Training ends as
-    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran.
+    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran. Under an
+    :class:`ImprovingKLLoss` the robot improves where it would end, until :meth:`Ending.improved`.
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by ``register_op`` runs at TorchRL's places of the loop.
@@ -68,6 +70,7 @@ class PMILTrainer(Trainer):
         progress_bar: whether to show progress where standard error is a terminal.
         logger: TorchRL's logger for the numbers of every trial.
         checkpoint_rotation: rotation of the checkpoints.
+        announce: called with one line when the robot imitates and begins to improve.
 
     Raises:
         TypeError, ValueError: an argument is of another kind, or a number is out of range.
@@ -90,6 +93,7 @@ class PMILTrainer(Trainer):
         progress_bar: bool = True,
         logger: Logger | None = None,
         checkpoint_rotation: CheckpointRotation | None = None,
+        announce: Callable[[str], None] = lambda line: None,
     ) -> None:
         for value, kind in ((problem, Problem), (ending, Ending), (search, SearchSettings)):
             if not isinstance(value, kind):
@@ -98,6 +102,7 @@ class PMILTrainer(Trainer):
         self.problem, self.ending, self.promise = problem, ending, ending.promise
         self.initial, self.error, self.tolerance = problem.initial, problem.error, problem.tolerance
         self.evaluation_env, self.on_trial = problem.measured, on_trial
+        self.announce = announce
         env, loss = problem.env, problem.loss
         policies, motions = generator_of(Stream.POLICIES, seed), generator_of(Stream.MOTION, seed)
         loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())
@@ -264,6 +269,8 @@ class PMILTrainer(Trainer):
         self.experience.load_state_dict(self.experience.state_dict())  # with room for as many more
         for name in components.keys() - {"policy", "loss_module", "trainer_module.experience"}:
             components[name].load_state_dict(fresh[name])
+        if isinstance(self.loss_module, ImprovingKLLoss):
+            self.loss_module.improve(False)
         self.state.explored = len(self.experience)
 
     def _begin(self) -> None:
@@ -333,8 +340,24 @@ class PMILTrainer(Trainer):
         state.candidates.append(Candidate(trial.trial, parameters, error))
         self._log(own_error=error, own_success=success)
         self.on_trial(trial)
-        if ended := self.ending.reason(state.trials):
+        if ended := self._reason_to_end():
             self.request_stop(ended)
+
+    def _reason_to_end(self) -> str:
+        """Why the run ends now; "" if it continues, perhaps to improve what it imitates."""
+        loss, trials = self.loss_module, self.trials
+        if not isinstance(loss, ImprovingKLLoss):
+            return self.ending.reason(trials)
+        if loss.improving:
+            return self.ending.improved(trials)
+        ended = self.ending.reason(trials)
+        if len(trials) >= self.ending.trials or not ended:
+            return ended
+        loss.improve()
+        self.search.begin_anew()
+        weight = loss.imitation_weight
+        self.announce(f"{ended}: from now on it improves by the cost and {weight:g} times the KL")
+        return ""
 
     def _start_belief(self) -> TensorDictBase:
         """The batch of an optimisation step: p(x_0)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Unpack
 
@@ -136,9 +136,11 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         cost = self.cost.objective(of_cost, initial, horizon)
         return cost and partial(_sum, cost, imitation, self.imitation_weight)
 
-    def penalised(self, penalty: Penalty) -> AbstractContextManager[None]:
+    @contextmanager
+    def penalised(self, penalty: Penalty) -> Iterator[None]:
         """As in the base class; the penalty has no weight beside the cost."""
-        return self.cost.penalised(penalty) if self.improving else super().penalised(penalty)
+        with self.cost.penalised(penalty) if self.improving else super().penalised(penalty):
+            yield
 
     def _costs_of_beliefs(self, states: Gaussian) -> Tensor:
         imitation = super()._costs_of_beliefs(states)

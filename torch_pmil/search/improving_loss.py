@@ -157,9 +157,9 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         cost = getattr(self.cost, BESIDE[name])(initial, horizon)
         return cost + self.imitation_weight * imitation
 
-    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Any:
-        self.cost._apply(fn, recurse)
-        return super()._apply(fn, recurse)
+    def _apply(self, fn: Callable[[Tensor], Tensor]) -> Any:
+        self.cost._apply(fn)
+        return super()._apply(fn)
 
 
 def _sum(

@@ -175,5 +175,5 @@ def test_weight_is_positive(weight: float) -> None:
     kl = make_kl(0)
     demonstrated = Gaussian(kl.demonstrated_mean, kl.demonstrated_cov)
     parts = make_parts(Draws(0))
-    with pytest.raises(ValueError, match=r"^imitation_weight must be positive"):
+    with pytest.raises(ValueError, match=r"^imitation_weight must be a positive finite number"):
         ImprovingKLLoss(*parts, SPACE, demonstrated, NOISE_STD, COST, weight)

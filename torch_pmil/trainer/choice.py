@@ -11,9 +11,12 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.promise import Promise
+from torch_pmil.search.sample_search import expected_cost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Candidate, Trial
 
+SEED = 0  # of the trajectories by which expected costs are compared
+SETTLED = 0.98  # of the cost of the policy before, above which an improvement has come to its end
 WEIGHT = 10  # rollouts that count as much as the model's prediction, which may be wrong
 
 
@@ -34,7 +37,7 @@ def best_candidate(
     own rollout and the smallest predicted loss.
 
     If the loss is improving, all policies that keep the promised rate are alike in it, and the last
-    is the smallest expected cost.
+    is the smallest expected cost, by trajectories that each follow one function of the model.
 
     Args:
         candidates: one at least.
@@ -45,9 +48,6 @@ def best_candidate(
         tolerance: largest error of a success.
     """
 
-    improving = isinstance(loss, ImprovingKLLoss) and loss.improving
-    judged = loss.cost if improving else loss
-
     def merit(candidate: Candidate) -> tuple[float, ...]:
         loss.actor_network.load_state_dict(candidate.parameters)
         trial, predicted = trials[candidate.trial - 1], None
@@ -55,13 +55,31 @@ def best_candidate(
             predicted = min(promise.predicted(loss, initial).least, promise.aim)
         error = max(candidate.own_error, tolerance)
         rate = _known_rate(trial, error <= tolerance, predicted)
-        if improving and promise is not None:
-            rate = min(rate, promise.rate)
-        return error < math.inf, rate, -error, trial.steps, -_predicted_loss(judged, initial)
+        if isinstance(loss, ImprovingKLLoss) and loss.improving:
+            rate = rate if promise is None else min(rate, promise.rate)
+            expected = expected_cost(loss.cost, initial, SEED)
+        else:
+            expected = _predicted_loss(loss, initial)
+        return error < math.inf, rate, -error, trial.steps, -expected
 
     chosen = max(candidates, key=merit)
     loss.actor_network.load_state_dict(chosen.parameters)
     return chosen
+
+
+def is_settled(candidates: Sequence[Candidate], loss: ImprovingKLLoss, initial: Gaussian) -> bool:
+    """Whether the newest policy, which the loss then holds, costs hardly less than that before.
+
+    Args:
+        candidates: two at least.
+        loss: with a model of all experience.
+        initial: p(x_0).
+    """
+    costs = []
+    for candidate in candidates[-2:]:
+        loss.actor_network.load_state_dict(candidate.parameters)
+        costs.append(expected_cost(loss.cost, initial, SEED))
+    return costs[1] >= SETTLED * costs[0]
 
 
 def _known_rate(trial: Trial, own_success: bool, predicted: float | None) -> float:

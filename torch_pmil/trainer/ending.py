@@ -12,7 +12,6 @@ from torch_pmil.trainer.trials import Trial
 
 LIMIT = "limit of trials"
 AGAIN = 3  # own successes in a row that end a run, whatever the model promises
-SETTLED = 0.98  # of the loss of the trial before, above which an improvement has come to its end
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -70,15 +69,9 @@ class Ending:
         return next((n for n in counts if self.reason(trials[:n]) not in ("", LIMIT)), 0)
 
     def improved(self, trials: Sequence[Trial]) -> str:
-        """Why a run ends that has improved what it imitated; "" if it continues.
-
-        Its trials of improvement must end a run of their own, and the last of them must have
-        lowered the predicted loss by less than a fiftieth.
-        """
+        """Why a run ends that has improved what it imitated, by its trials since then, or ""."""
         own = trials[self.imitated(trials) :]
-        if len(own) > 1 and own[-1].loss >= SETTLED * own[-2].loss and (done := self.reason(own)):
-            return f"{done}, and the predicted loss fell by less than {1 - SETTLED:.0%}"
-        return LIMIT if len(trials) >= self.trials else ""
+        return self.reason(own) or (LIMIT if len(trials) >= self.trials else "")
 
     def _twice(self, trials: Sequence[Trial]) -> bool:
         """Whether two trials in a row succeeded whose models predict the promised rate itself.

@@ -34,7 +34,7 @@ from torch_pmil.trainer.checkpoints import (
     newest_undamaged,
     restore,
 )
-from torch_pmil.trainer.choice import best_candidate
+from torch_pmil.trainer.choice import best_candidate, is_settled
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.ending import Ending
 from torch_pmil.trainer.problem import Problem
@@ -51,7 +51,8 @@ class PMILTrainer(Trainer):
     the policy may be measured from fresh starts, which is no experience and decides only which
     policy is best. The next batch is that policy's rollout on the robot. Training ends as
     :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran. Under an
-    :class:`ImprovingKLLoss` the robot improves where it would end, until :meth:`Ending.improved`.
+    :class:`ImprovingKLLoss` the robot improves where it would end, and ends when it would a second time and its cost hardly falls
+    (:func:`~torch_pmil.trainer.choice.is_settled`).
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by ``register_op`` runs at TorchRL's places of the loop.
@@ -349,10 +350,14 @@ class PMILTrainer(Trainer):
         if not isinstance(loss, ImprovingKLLoss):
             return self.ending.reason(trials)
         if loss.improving:
-            return self.ending.improved(trials)
-        ended = self.ending.reason(trials)
-        if len(trials) >= self.ending.trials or not ended:
+            ended = self.ending.improved(trials)
+        else:
+            ended = self.ending.reason(trials)
+        if not ended or len(trials) >= self.ending.trials:
             return ended
+        if loss.improving:
+            self.fit_dynamics()
+            return ended if is_settled(self.candidates, loss, self.initial) else ""
         loss.improve()
         self.search.begin_anew()
         weight = loss.imitation_weight

@@ -148,7 +148,7 @@ def test_sampled_cost_is_added_and_has_no_moments(initial: Gaussian) -> None:
     assert_close(loss.per_step(initial), alone.per_step(initial) + WEIGHT * kl.per_step(initial))
 
 
-@pytest.mark.parametrize("change", [copy.deepcopy, lambda loss: loss.float().double()])
+@pytest.mark.parametrize("change", [copy.deepcopy, lambda loss: loss.double()])
 def test_policy_and_model_are_registered_once(
     change: Callable[[ImprovingKLLoss], ImprovingKLLoss], initial: Gaussian
 ) -> None:
@@ -160,6 +160,12 @@ def test_policy_and_model_are_registered_once(
     assert isinstance(loss.actor_network, RBFPolicy)
     loss.actor_network.weights.data.mul_(2.0)
     assert not torch.equal(loss.cost.per_step(initial), before)
+
+
+def test_cost_moves_with_the_loss() -> None:
+    loss = make(True).float()
+    tensors = [*loss.state_dict().values(), *loss.cost.state_dict().values()]
+    assert not any(each.dtype == torch.float64 for each in tensors)
 
 
 def test_state_holds_the_phase() -> None:

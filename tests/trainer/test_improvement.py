@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -18,10 +19,12 @@ from torch_pmil import SaturatingCost
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.sample_search import expected_cost
+from torch_pmil.search.trial_search import TrialSearch
 from torch_pmil.tasks.improving_task import ImprovingTask, improving
 from torch_pmil.tasks.task import Task
+from torch_pmil.trainer import trainer
 from torch_pmil.trainer.choice import SEED as SEED_OF_COSTS, SETTLED, best_candidate, is_settled
-from torch_pmil.trainer.ending import LIMIT, Ending
+from torch_pmil.trainer.ending import AGAIN, LIMIT, Ending
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
 
@@ -33,8 +36,8 @@ def error(states: Tensor) -> Tensor:
     return states[..., 0, 0]
 
 
-def trial(success: bool) -> SimpleNamespace:
-    rate = 0.99 if success else None
+def trial(success: bool, promised: float = 0.99) -> SimpleNamespace:
+    rate = promised if success else None
     return SimpleNamespace(own_success=success, promised_success_rate=rate, success_rate=None)
 
 
@@ -42,7 +45,13 @@ IMITATED = [trial(False), trial(True)]
 
 
 @pytest.mark.parametrize(
-    ("own", "ends"), [([], False), ([trial(True)], True), ([trial(True), trial(False)], False)]
+    ("own", "ends"),
+    [
+        ([], False),
+        ([trial(True)], True),
+        ([trial(True), trial(False)], False),
+        ([trial(True, 0.5)] * AGAIN, False),  # own successes alone are not enough
+    ],
 )
 def test_improvement_ends_as_a_run_of_its_own(own: Sequence[Trial], ends: bool) -> None:
     ending = Ending(9, 1, Promise(0.95, error, 0.1))
@@ -125,25 +134,46 @@ def test_no_improvement_begins_at_the_limit(tmp_path: Path) -> None:
     assert result.summary["stop_reason"] != LIMIT
 
 
+@pytest.mark.parametrize("settled", [True, False])
+def test_run_goes_on_while_the_cost_falls(
+    settled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trainer, "is_settled", lambda *judged: settled)
+    result = run(tmp_path / "run", task=short(), trials=5)
+    assert len(result.trials) == (4 if settled else 5)
+
+
+def test_losses_of_both_phases_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    least: list[float] = []
+    search = TrialSearch.run
+    monkeypatch.setattr(
+        TrialSearch,
+        "run",
+        lambda self, *given: (least.append(self._least), search(self, *given))[1],
+    )
+    trainer_of(short())
+    assert [math.isinf(value) for value in least[:4]] == [True, False, True, False]
+
+
 def trainer_of(task: Task) -> PMILTrainer:
-    trainer = make_trainer(task, SEED, 4, False, lambda trial: None)
-    trainer.train()
-    return trainer
+    made = make_trainer(task, SEED, 4, False, lambda trial: None)
+    made.train()
+    return made
 
 
-def chosen(trainer: PMILTrainer, *candidates: tuple[Candidate, float]) -> int:
+def chosen(made: PMILTrainer, *candidates: tuple[Candidate, float]) -> int:
     """The trial of the best of these, whose measured rates are given."""
     trials = [
-        replace(trainer.trials[0], trial=number, success_rate=rate, n_eval=20)
+        replace(made.trials[0], trial=number, success_rate=rate, n_eval=20)
         for number, (_, rate) in enumerate(candidates, start=1)
     ]
-    judged = trainer.loss_module, trainer.initial, trainer.promise, trainer.tolerance
+    judged = made.loss_module, made.initial, made.promise, made.tolerance
     return best_candidate([each for each, _ in candidates], trials, *judged).trial
 
 
 def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promise() -> None:
-    trainer = trainer_of(short())
-    loss, initial = trainer.loss_module, trainer.initial
+    made = trainer_of(short())
+    loss, initial = made.loss_module, made.initial
     first = {name: value.clone() for name, value in loss.actor_network.state_dict().items()}
     second = {**first, "weights": first["weights"] + 1.0}
     costs = []
@@ -158,11 +188,11 @@ def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promis
     assert settled == [False, True, True]
     assert min(costs) < SETTLED * max(costs)
     one, two = Candidate(1, dear, 0.0), Candidate(2, cheap, 0.0)
-    assert chosen(trainer, (one, 1.0), (two, 0.95)) == 2
-    assert chosen(trainer, (one, 1.0), (two, 0.5)) == 1  # it fails too often
-    assert chosen(trainer, (one, 1.0), (replace(two, own_error=2 * ENDLESS), 1.0)) == 1
+    assert chosen(made, (one, 1.0), (two, 0.95)) == 2
+    assert chosen(made, (one, 1.0), (two, 0.5)) == 1  # it fails too often
+    assert chosen(made, (one, 1.0), (replace(two, own_error=2 * ENDLESS), 1.0)) == 1
     loss.improve(False)
-    assert chosen(trainer, (one, 1.0), (two, 0.95)) == 1
+    assert chosen(made, (one, 1.0), (two, 0.95)) == 1
 
 
 def test_settings_of_a_task_without_a_cost_are_as_they_were() -> None:

@@ -51,7 +51,8 @@ class PMILTrainer(Trainer):
     the policy may be measured from fresh starts, which is no experience and decides only which
     policy is best. The next batch is that policy's rollout on the robot. Training ends as
     :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran. Under an
-    :class:`ImprovingKLLoss` the robot improves where it would end, and ends when it would a second time and its cost hardly falls
+    :class:`ImprovingKLLoss` the robot improves where it would end. It ends by
+    :meth:`Ending.improved`, once its cost hardly falls
     (:func:`~torch_pmil.trainer.choice.is_settled`).
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
@@ -349,10 +350,7 @@ class PMILTrainer(Trainer):
         loss, trials = self.loss_module, self.trials
         if not isinstance(loss, ImprovingKLLoss):
             return self.ending.reason(trials)
-        if loss.improving:
-            ended = self.ending.improved(trials)
-        else:
-            ended = self.ending.reason(trials)
+        ended = self.ending.improved(trials) if loss.improving else self.ending.reason(trials)
         if not ended or len(trials) >= self.ending.trials:
             return ended
         if loss.improving:

@@ -11,13 +11,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import torch
 from torch import Tensor
 
 from tests.helpers.short_run import SEED, run, short_experiment, stalling, stopped_run
 from tests.trainer.test_resume import assert_same_end
 from torch_pmil import SaturatingCost
 from torch_pmil.runs.training import make_trainer
-from torch_pmil.search.promise import Promise
+from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
 from torch_pmil.search.sample_search import expected_cost
 from torch_pmil.search.trial_search import TrialSearch
 from torch_pmil.tasks.improving_task import ImprovingTask, improving
@@ -171,7 +172,9 @@ def chosen(made: PMILTrainer, *candidates: tuple[Candidate, float]) -> int:
     return best_candidate([each for each, _ in candidates], trials, *judged).trial
 
 
-def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promise() -> None:
+def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made = trainer_of(short())
     loss, initial = made.loss_module, made.initial
     first = {name: value.clone() for name, value in loss.actor_network.state_dict().items()}
@@ -191,6 +194,13 @@ def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promis
     assert chosen(made, (one, 1.0), (two, 0.95)) == 2
     assert chosen(made, (one, 1.0), (two, 0.5)) == 1  # it fails too often
     assert chosen(made, (one, 1.0), (replace(two, own_error=2 * ENDLESS), 1.0)) == 1
+
+    def predicted(*judged: object) -> PredictedSuccess:
+        unsure = torch.equal(loss.actor_network.weights, cheap["weights"])
+        return PredictedSuccess(450 if unsure else SAMPLES)
+
+    monkeypatch.setattr(Promise, "predicted", predicted)
+    assert chosen(made, (one, 1.0), (two, 1.0)) == 1
     loss.improve(False)
     assert chosen(made, (one, 1.0), (two, 0.95)) == 1
 

@@ -36,8 +36,9 @@ def best_candidate(
     the smallest error of the own rollout, where all successes count the same. Next come the longest
     own rollout and the smallest predicted loss.
 
-    If the loss is improving, all policies that keep the promised rate are alike in it, and the last
-    is the smallest expected cost, by trajectories that each follow one function of the model.
+    If the loss is improving, all policies are alike that keep the promised rate both by what is
+    known and as the model predicts. The last is then the smallest expected cost, by trajectories
+    that each follow one function of the model.
 
     Args:
         candidates: one at least.
@@ -56,7 +57,8 @@ def best_candidate(
         error = max(candidate.own_error, tolerance)
         rate = _known_rate(trial, error <= tolerance, predicted)
         if isinstance(loss, ImprovingKLLoss) and loss.improving:
-            rate = rate if promise is None else min(rate, promise.rate)
+            if promise is not None and predicted is not None:
+                rate = min(rate, predicted, promise.rate)
             expected = expected_cost(loss.cost, initial, SEED)
         else:
             expected = _predicted_loss(loss, initial)

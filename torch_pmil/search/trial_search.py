@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -94,7 +95,7 @@ class TrialSearch:
             return self._on_samples_alone(loss, initial)
         if settings.sample_steps:
             return self._begun_on_samples(loss, initial, search)
-        self.result = search(random=self._least == math.inf and not succeeded)
+        self.result = search(random=self._least == math.inf)
         self.refitted = not self._enough(succeeded)
         if self.refitted:
             new = self.make_policy()
@@ -125,8 +126,11 @@ class TrialSearch:
         return self.result
 
     def begin_anew(self) -> None:
-        """Compare no coming loss with those before, since another is minimised from now on."""
-        self._least = math.inf
+        """Compare no coming loss with those before, since another is minimised from now on.
+
+        The policy stays one that was searched, as it is not while no loss is known.
+        """
+        self._least = sys.float_info.max
 
     def _begun_on_samples(
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]

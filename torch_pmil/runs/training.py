@@ -313,7 +313,7 @@ def make_trainer(
 ) -> PMILTrainer:
     """The trainer of a task, with every source of randomness seeded."""
     method = task.method
-    return PMILTrainer(
+    trainer = PMILTrainer(
         task.problem(seed),
         Ending(trials, method.ending.confirmations, task.promised),
         method.search,
@@ -323,5 +323,6 @@ def make_trainer(
         progress_bar=progress_bar,
         logger=logger,
         checkpoint_rotation=rotation,
-        announce=announce,
     )
+    trainer.announce = announce
+    return trainer

@@ -72,7 +72,8 @@ class PMILTrainer(Trainer):
         progress_bar: whether to show progress where standard error is a terminal.
         logger: TorchRL's logger for the numbers of every trial.
         checkpoint_rotation: rotation of the checkpoints.
-        announce: called with one line when the robot imitates and begins to improve.
+
+    ``announce`` is called with one line when the robot imitates and begins to improve.
 
     Raises:
         TypeError, ValueError: an argument is of another kind, or a number is out of range.
@@ -82,6 +83,8 @@ class PMILTrainer(Trainer):
 
     Example: see ``torch_pmil/runs/training.py``.
     """
+
+    announce: Callable[[str], None] = staticmethod(lambda line: None)
 
     def __init__(
         self,
@@ -95,7 +98,6 @@ class PMILTrainer(Trainer):
         progress_bar: bool = True,
         logger: Logger | None = None,
         checkpoint_rotation: CheckpointRotation | None = None,
-        announce: Callable[[str], None] = lambda line: None,
     ) -> None:
         for value, kind in ((problem, Problem), (ending, Ending), (search, SearchSettings)):
             if not isinstance(value, kind):
@@ -104,7 +106,6 @@ class PMILTrainer(Trainer):
         self.problem, self.ending, self.promise = problem, ending, ending.promise
         self.initial, self.error, self.tolerance = problem.initial, problem.error, problem.tolerance
         self.evaluation_env, self.on_trial = problem.measured, on_trial
-        self.announce = announce
         env, loss = problem.env, problem.loss
         policies, motions = generator_of(Stream.POLICIES, seed), generator_of(Stream.MOTION, seed)
         loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())

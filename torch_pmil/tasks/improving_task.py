@@ -1,4 +1,4 @@
-"""A task that is imitated first, and then improved by a cost (Englert et al. 2013, Section 6)."""
+"""A task that is imitated first, and then improved by a cost (Englert et al. 2013)."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from reproduction.imperfect import IMPERFECT
 from reproduction.improvement import IMPROVEMENT_STUDY
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
+from reproduction.own_parts import OWN_PARTS
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.pilco_scenarios import PILCO_SCENARIOS
@@ -67,5 +68,6 @@ PAPER = {
         IMPERFECT,
         PILCO_SCENARIOS,
         IMPROVEMENT_STUDY,
+        OWN_PARTS,
     )
 }

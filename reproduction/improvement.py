@@ -1,8 +1,9 @@
 """The cart-pole that imitates its teacher, and then gets up sooner than it, by a cost.
 
 The cost is that of a tip which is not upright in the middle. The imitation counts so little beside
-it that a motion more than one standard deviation away from the demonstrations costs the least. What is
-within two of them is a success all the same. Pairs have the same seed, and so the same imitation.
+it that the motion of least loss is more than one standard deviation away from the demonstrations.
+What is within two of them is a success all the same. Pairs have the same seed, and so the same
+imitation.
 """
 
 from __future__ import annotations

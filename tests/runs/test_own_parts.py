@@ -31,10 +31,11 @@ class Rest:
         self.slopes = torch.linalg.solve(normal, inputs.mT @ targets)
         self.gp = GPDynamics(inputs.shape[1], targets.shape[1])
         self.gp.fit(inputs, targets - inputs @ self.slopes)
+        self.noise = self.gp.noise
 
     def moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         mean, variance = self.gp.predict(inputs)
-        return mean + inputs @ self.slopes, variance + self.gp.noise
+        return mean + inputs @ self.slopes, variance
 
 
 def effort(states: Tensor, actions: Tensor) -> Tensor:

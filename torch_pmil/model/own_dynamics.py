@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_whole
+from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.forward_model import FitResult, ForwardModel, Functions, Targets
 
@@ -25,9 +25,12 @@ class OwnDynamics(ForwardModel):
 
     - ``sample(count, generator)`` returns functions that the data leave possible. They map inputs
       (count, \*batch, D' + F) to outputs (count, \*batch, E), with a gradient in the inputs.
-    - ``moments(inputs)`` returns mean and variance of the outputs, (\*batch, E) each, noise
-      included. Function i is then :math:`\mu(x) + z_i \sigma(x)`: a particle that is one standard
+    - ``moments(inputs)`` returns mean and variance of the outputs, (\*batch, E) each, without
+      noise. Function i is then :math:`\mu(x) + z_i \sigma(x)`: a particle that is one standard
       deviation off stays so along its trajectory.
+
+    The variances of what no function explains are its attribute ``noise``, (E,), once it is fitted,
+    or zero without one.
 
     Inputs are features of the state and actions. Targets are what the known part leaves to learn:
     by default the changes of the state in one step. Each fit begins with the object as it was
@@ -78,8 +81,8 @@ class OwnDynamics(ForwardModel):
         return FitResult(unknown, 0, seconds, reason * self.num_outputs)
 
     def predict(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance (*batch, E), of ``moments`` or of sampled functions."""
-        if hasattr(self.own, "moments"):
+        """Mean and variance (*batch, E), of sampled functions or of ``moments``."""
+        if not hasattr(self.own, "sample"):
             return self._moments(inputs)
         functions = self.functions(PREDICTED_BY, torch.Generator().manual_seed(FIT_SEED))
         outputs = functions(inputs.expand(PREDICTED_BY, *inputs.shape))
@@ -99,8 +102,12 @@ class OwnDynamics(ForwardModel):
 
     @property
     def noise(self) -> Tensor:
-        """Zeros: functions and moments of the object hold its noise."""
-        return torch.zeros(self.num_outputs, dtype=torch.float64)
+        """Variances (E,) of what no function explains; ValueError where they have another shape."""
+        found = getattr(self.own, "noise", None)
+        if found is None:
+            return torch.zeros(self.num_outputs, dtype=torch.float64)
+        check_tensor("noise of the model", found, (self.num_outputs,))
+        return found.double()
 
     def _by_moments(self, count: int, generator: torch.Generator) -> Functions:
         """Functions that keep their distance from the mean, in standard deviations."""

@@ -17,6 +17,7 @@ from reproduction.figure11 import FIGURE11
 from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.imperfect import IMPERFECT
+from reproduction.improvement import IMPROVEMENT_STUDY
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
 from reproduction.own_parts import OWN_PARTS
@@ -66,6 +67,7 @@ PAPER = {
         ACROBOT,
         IMPERFECT,
         PILCO_SCENARIOS,
+        IMPROVEMENT_STUDY,
         OWN_PARTS,
     )
 }

@@ -52,6 +52,7 @@ from .model.rollout import (
 )
 from .model.sampled_rollouts import SampledPrediction as SampledPrediction
 from .runs.pmil import PILCO as PILCO, PMIL as PMIL
+from .search.improving_loss import ImprovingKLLoss as ImprovingKLLoss
 from .search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
 from .search.losses import TrajectoryKLLoss as TrajectoryKLLoss
 from .search.multi_target_loss import MultiTargetKLLoss as MultiTargetKLLoss
@@ -74,6 +75,7 @@ from .search.target_losses import (
     ExpectedSaturatingCost as ExpectedSaturatingCost,
 )
 from .tasks.cost_task import CostTask as CostTask
+from .tasks.improving_task import ImprovingTask as ImprovingTask
 from .tasks.method import Method as Method, PolicySettings as PolicySettings
 from .tasks.own_cost import own_cost as own_cost
 from .tasks.own_robot import own_robot as own_robot

@@ -117,7 +117,8 @@ def train(
         logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``, or None.
         overwrite: whether to replace a run that has ended.
         settings: of the command, by which ``settings.yaml`` names the task.
-        announce: called with how the run samples the robot, if it chooses.
+        announce: called with how the run samples the robot, if it chooses, and with one line where
+            it begins to improve what it imitates.
 
     Raises:
         RunStopped, RobotError: the operator ended the run, or the robot cannot be reached; the run
@@ -165,7 +166,9 @@ def train(
             kernels()  # compiled before the progress bar stands
         ended = False
         while not ended:
-            trainer = make_trainer(task, seed, trials, progress_bar, record, opened, rotation)
+            trainer = make_trainer(
+                task, seed, trials, progress_bar, record, opened, rotation, announce
+            )
             _begin(trainer, saved, before, first)
             rewind_logs(opened, trainer.collected_frames)
             write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
@@ -306,10 +309,11 @@ def make_trainer(
     on_trial: Callable[[Trial], None],
     logger: Logger | None = None,
     rotation: RunRotation | None = None,
+    announce: Callable[[str], None] = lambda line: None,
 ) -> PMILTrainer:
     """The trainer of a task, with every source of randomness seeded."""
     method = task.method
-    return PMILTrainer(
+    trainer = PMILTrainer(
         task.problem(seed),
         Ending(trials, method.ending.confirmations, task.promised),
         method.search,
@@ -320,3 +324,5 @@ def make_trainer(
         logger=logger,
         checkpoint_rotation=rotation,
     )
+    trainer.announce = announce
+    return trainer

@@ -284,7 +284,7 @@ class TrajectoryLoss(LossModule):
                 f"{tuple(states.mean.shape)}"
             )
         counted = self._counted(tensordict, states.batch_shape)
-        return self._reduced(self._score(self._observe(_where(counted, states))), counted)
+        return self._reduced(self._costs_of_beliefs(_where(counted, states)), counted)
 
     def named_parameters(
         self, prefix: str = "", recurse: bool = True
@@ -335,6 +335,10 @@ class TrajectoryLoss(LossModule):
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return self.space.match_space.moments(states)
+
+    def _costs_of_beliefs(self, states: Gaussian) -> Tensor:
+        """Costs of beliefs over the state, (*batch, t)."""
+        return self._score(self._observe(states))
 
     def _score(self, observed: Gaussian) -> Tensor:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -123,6 +124,13 @@ class TrialSearch:
             self.result = search_for_success(*known, credit, others, report, optimizer)
             self._credit -= self.result.evaluations - before
         return self.result
+
+    def begin_anew(self) -> None:
+        """Compare no coming loss with those before, since another is minimised from now on.
+
+        The policy stays one that was searched, as it is not while no loss is known.
+        """
+        self._least = sys.float_info.max
 
     def _begun_on_samples(
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]

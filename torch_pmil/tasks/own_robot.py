@@ -20,9 +20,12 @@ from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.search.sampled_cost import CostFunction
+from torch_pmil.search.target_costs import Cost
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
@@ -61,6 +64,8 @@ def own_robot(
     optimizer: MakeOptimizer | None = None,
     policy: MakeModule | None = None,
     model: Any = None,
+    cost: Cost | CostFunction | None = None,
+    imitation_weight: float | None = None,
     **settings: Any,
 ) -> Task:
     """The task of one's own robot and recordings.
@@ -115,6 +120,11 @@ def own_robot(
             (:class:`~torch_pmil.control.module_policy.ModulePolicy`); an RBF network if None.
         model: a forward model of your own, with ``fit`` and ``sample`` or ``moments``
             (:class:`~torch_pmil.model.own_dynamics.OwnDynamics`); GPs if None.
+        cost: what is minimised beside the distance from the demonstrations, once the robot imitates
+            them (:class:`~torch_pmil.tasks.improving_task.ImprovingTask`): a ``SaturatingCost`` or
+            ``QuadraticCost`` whose target names entries of ``match``, or a function of states and
+            actions. If None, the robot imitates alone.
+        imitation_weight: of the KL to the demonstrations beside the cost; 1 if None.
         settings: fields of :class:`Task` and settings of its method
             (:class:`~torch_pmil.tasks.method.Method`), by name, in place of the defaults.
 
@@ -135,6 +145,8 @@ def own_robot(
     """
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_robot, Task, **said, **settings)
+    if cost is None and imitation_weight is not None:
+        raise ValueError("imitation_weight must come with a cost, got none")
     control_period = seconds(control_period)
     state, units, angles = entries_of(env, state, units, angles, settings)
     of_match = match.names if isinstance(match, MatchSpace) else () if match else state
@@ -149,6 +161,9 @@ def own_robot(
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
     task = _task(robot, space, shown, states, starts, settings)
     task = with_own(task, optimizer, policy, model)
+    if cost is not None:
+        weight = {} if imitation_weight is None else {"imitation_weight": imitation_weight}
+        task = improving(task, cost, **weight)
     given = Sampling(1, past_entries, past_actions, positions_only)
     samplings = samplings_of(task, given, step, past)
     if len(samplings) > 1:

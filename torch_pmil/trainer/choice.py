@@ -9,10 +9,14 @@ import torch
 
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.promise import Promise
+from torch_pmil.search.sample_search import expected_cost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Candidate, Trial
 
+SEED = 0  # of the trajectories by which expected costs are compared
+SETTLED = 0.98  # of the cost of the policy before, above which an improvement has come to its end
 WEIGHT = 10  # rollouts that count as much as the model's prediction, which may be wrong
 
 
@@ -32,6 +36,10 @@ def best_candidate(
     the smallest error of the own rollout, where all successes count the same. Next come the longest
     own rollout and the smallest predicted loss.
 
+    If the loss is improving, all policies are alike that keep the promised rate both by what is
+    known and as the model predicts. The last is then the smallest expected cost, by trajectories
+    that each follow one function of the model.
+
     Args:
         candidates: one at least.
         trials: all of the run.
@@ -48,11 +56,32 @@ def best_candidate(
             predicted = min(promise.predicted(loss, initial).least, promise.aim)
         error = max(candidate.own_error, tolerance)
         rate = _known_rate(trial, error <= tolerance, predicted)
-        return error < math.inf, rate, -error, trial.steps, -_predicted_loss(loss, initial)
+        if isinstance(loss, ImprovingKLLoss) and loss.improving:
+            if promise is not None and predicted is not None:
+                rate = min(rate, predicted, promise.rate)
+            expected = expected_cost(loss.cost, initial, SEED)
+        else:
+            expected = _predicted_loss(loss, initial)
+        return error < math.inf, rate, -error, trial.steps, -expected
 
     chosen = max(candidates, key=merit)
     loss.actor_network.load_state_dict(chosen.parameters)
     return chosen
+
+
+def is_settled(candidates: Sequence[Candidate], loss: ImprovingKLLoss, initial: Gaussian) -> bool:
+    """Whether the newest policy, which the loss then holds, costs hardly less than that before.
+
+    Args:
+        candidates: two at least.
+        loss: with a model of all experience.
+        initial: p(x_0).
+    """
+    costs = []
+    for candidate in candidates[-2:]:
+        loss.actor_network.load_state_dict(candidate.parameters)
+        costs.append(expected_cost(loss.cost, initial, SEED))
+    return costs[1] >= SETTLED * costs[0]
 
 
 def _known_rate(trial: Trial, own_success: bool, predicted: float | None) -> float:

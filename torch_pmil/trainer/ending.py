@@ -43,6 +43,15 @@ class Ending:
 
     def reason(self, trials: Sequence[Trial]) -> str:
         """Why a run ends after these trials, one at least; "" if it continues."""
+        if kept := self._kept(trials):
+            return kept
+        again = max(AGAIN, self.confirmations)
+        if _succeeded(trials, again) and self._measured(trials[-1]):
+            return _done(again)
+        return LIMIT if len(trials) >= self.trials else ""
+
+    def _kept(self, trials: Sequence[Trial]) -> str:
+        """How the last of these trials are confirmed and keep the promise; "" if they do not."""
         if _succeeded(trials, self.confirmations):
             done = _done(self.confirmations)
             if self.promise is None:
@@ -55,10 +64,23 @@ class Ending:
             if self._twice(trials):
                 least = f"{self.promise.rate:.1%} of the starts"
                 return f"{_done(2)}, and both models predict success from {least}"
-        again = max(AGAIN, self.confirmations)
-        if _succeeded(trials, again) and self._measured(trials[-1]):
-            return _done(again)
-        return LIMIT if len(trials) >= self.trials else ""
+        return ""
+
+    def imitated(self, trials: Sequence[Trial]) -> int:
+        """Number of the first trial after which a run ends without its limit; 0 if there is none.
+
+        It is that of the last trial of imitation, in a run that then improves.
+        """
+        counts = range(1, len(trials) + 1)
+        return next((n for n in counts if self.reason(trials[:n]) not in ("", LIMIT)), 0)
+
+    def improved(self, trials: Sequence[Trial]) -> str:
+        """Why a run ends that has improved what it imitated, by its trials since then, or "".
+
+        Only a policy that keeps the promise will do: one that imitates is there already.
+        """
+        own = trials[self.imitated(trials) :]
+        return self._kept(own) or (LIMIT if len(trials) >= self.trials else "")
 
     def _twice(self, trials: Sequence[Trial]) -> bool:
         """Whether two trials in a row succeeded whose models predict the promised rate itself.
@@ -81,7 +103,7 @@ class Ending:
         A lower promise that would have ended it sooner is named, if there is one.
         """
         succeeded = sum(trial.own_success for trial in trials)
-        if not succeeded or self.reason(trials) != LIMIT:
+        if not succeeded or self.reason(trials) != LIMIT or self.imitated(trials):
             return ""
         done = f"the own rollout succeeded in {succeeded} of {len(trials)} trials, but"
         counts = range(1, len(trials) + 1)

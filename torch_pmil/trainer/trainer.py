@@ -22,6 +22,7 @@ from torch_pmil.control.exploration import CautiousMotion
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.experience import FEWEST_TRANSITIONS, Experience
 from torch_pmil.search.admission import admit
+from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess
 from torch_pmil.search.trial_search import TrialSearch
@@ -33,7 +34,7 @@ from torch_pmil.trainer.checkpoints import (
     newest_undamaged,
     restore,
 )
-from torch_pmil.trainer.choice import best_candidate
+from torch_pmil.trainer.choice import best_candidate, is_settled
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.ending import Ending
 from torch_pmil.trainer.problem import Problem
@@ -49,7 +50,10 @@ class PMILTrainer(Trainer):
     after each later one, the model is fitted to all experience, the policy is searched on it, and
     the policy may be measured from fresh starts, which is no experience and decides only which
     policy is best. The next batch is that policy's rollout on the robot. Training ends as
-    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran.
+    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran. Under an
+    :class:`ImprovingKLLoss` the robot improves where it would end. It ends by
+    :meth:`Ending.improved`, once its cost hardly falls
+    (:func:`~torch_pmil.trainer.choice.is_settled`).
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by ``register_op`` runs at TorchRL's places of the loop.
@@ -69,6 +73,8 @@ class PMILTrainer(Trainer):
         logger: TorchRL's logger for the numbers of every trial.
         checkpoint_rotation: rotation of the checkpoints.
 
+    ``announce`` is called with one line when the robot imitates and begins to improve.
+
     Raises:
         TypeError, ValueError: an argument is of another kind, or a number is out of range.
         RuntimeError: in :meth:`train`, if the exploration was cut short before it gave the
@@ -77,6 +83,8 @@ class PMILTrainer(Trainer):
 
     Example: see ``torch_pmil/runs/training.py``.
     """
+
+    announce: Callable[[str], None] = staticmethod(lambda line: None)
 
     def __init__(
         self,
@@ -264,6 +272,8 @@ class PMILTrainer(Trainer):
         self.experience.load_state_dict(self.experience.state_dict())  # with room for as many more
         for name in components.keys() - {"policy", "loss_module", "trainer_module.experience"}:
             components[name].load_state_dict(fresh[name])
+        if isinstance(self.loss_module, ImprovingKLLoss):
+            self.loss_module.improve(False)
         self.state.explored = len(self.experience)
 
     def _begin(self) -> None:
@@ -333,8 +343,25 @@ class PMILTrainer(Trainer):
         state.candidates.append(Candidate(trial.trial, parameters, error))
         self._log(own_error=error, own_success=success)
         self.on_trial(trial)
-        if ended := self.ending.reason(state.trials):
+        if ended := self._reason_to_end():
             self.request_stop(ended)
+
+    def _reason_to_end(self) -> str:
+        """Why the run ends now; "" if it continues, perhaps to improve what it imitates."""
+        loss, trials = self.loss_module, self.trials
+        if not isinstance(loss, ImprovingKLLoss):
+            return self.ending.reason(trials)
+        ended = self.ending.improved(trials) if loss.improving else self.ending.reason(trials)
+        if not ended or len(trials) >= self.ending.trials:
+            return ended
+        if loss.improving:
+            self.fit_dynamics()
+            return ended if is_settled(self.candidates, loss, self.initial) else ""
+        loss.improve()
+        self.search.begin_anew()
+        weight = loss.imitation_weight
+        self.announce(f"{ended}: from now on it improves by the cost and {weight:g} times the KL")
+        return ""
 
     def _start_belief(self) -> TensorDictBase:
         """The batch of an optimisation step: p(x_0)."""

@@ -29,6 +29,7 @@ from torch_pmil.runs.diagnosis.causes import (
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import FEW
 from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, MATCHED, first_mismatch
+from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -188,8 +189,9 @@ class _Search:
     @property
     def named(self) -> tuple[str, str]:
         """Name and unit of it."""
-        if isinstance(self.loss, TrajectoryKLLoss):
-            return self.loss.label, self.loss.unit
+        improving = isinstance(self.loss, ImprovingKLLoss) and self.loss.improving
+        if isinstance(self.loss, TrajectoryKLLoss) and not improving:
+            return TrajectoryKLLoss.label, TrajectoryKLLoss.unit
         return "predicted variance", "of that of the data"
 
     def stuck(self, step: int, horizons: Sequence[int]) -> Reason:

@@ -12,9 +12,9 @@ import torch
 
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.forward_model import Targets
+from torch_pmil.model.forward_model import ForwardModel, Targets
 from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.runs.summaries import read_summary
@@ -76,7 +76,7 @@ class Variation(Task):
         inputs = len(self.space.feature_names) + len(self.actions.names)
         return GPDynamics(inputs, self.space.dim, self.targets)
 
-    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryKLLoss:
+    def make_loss(self, policy: AnyPolicy, dynamics: ForwardModel) -> TrajectoryKLLoss:
         """The loss of the policy search: the KL of demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(
             policy,
@@ -87,7 +87,7 @@ class Variation(Task):
             prediction=self.prediction,
         )
 
-    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+    def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy with centres near demonstrated states, or near random ones."""
         if self.random_centres:
             std = torch.full((self.space.dim,), VELOCITY_STD, dtype=torch.float64)

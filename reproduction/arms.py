@@ -25,7 +25,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from reproduction.teachers.hand import Hand, lead_by_hand
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.distribution import demonstration_spread
 from torch_pmil.envs.mujoco_robot import MujocoRobot
@@ -296,7 +296,7 @@ class ArmPilco(CostTask):
 
     shown_states: Tensor  # (S, D)
 
-    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+    def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy with centres near demonstrated states."""
         return self.policy_near(self.space.features(self.shown_states), generator)
 

@@ -22,12 +22,12 @@ from torch import Tensor
 from reproduction.learned import load_learned, remeasured
 from reproduction.plots.calibration import plot_calibration_ahead
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
@@ -140,8 +140,8 @@ def calibrations(folder: Path, experiment: Task, starts: int) -> dict[int, Calib
 @torch.no_grad()
 def calibrations_ahead(
     states: Tensor,
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
+    policy: AnyPolicy,
+    dynamics: ForwardModel,
     space: StateSpace,
     shown: int | None = None,
 ) -> dict[int, Calibration]:

@@ -14,7 +14,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.tensor_file import load_tensors
 from torch_pmil.envs.rollouts import without_sensor_noise
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.state_checks import check_model, check_state
@@ -33,7 +33,7 @@ class Learned:
 
     summary: dict
     policy: StatePolicy
-    dynamics: GPDynamics
+    dynamics: ForwardModel
 
     @torch.no_grad()
     def predicted(self, experiment: Task) -> Gaussian:

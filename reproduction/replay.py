@@ -20,12 +20,12 @@ from torch import Tensor
 
 from reproduction.delay_calibration import calibrations_ahead
 from reproduction.failure_causes import ReplayedTrial
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience
+from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.diagnosis.after_a_run import known_steps
@@ -58,7 +58,7 @@ class Recording:
     parameters: Sequence[Mapping[str, Tensor]]
     saved_trial: int
 
-    def policies(self, experiment: Task) -> list[RBFPolicy]:
+    def policies(self, experiment: Task) -> list[AnyPolicy]:
         """The policy of each trial."""
         policies = []
         for parameters in self.parameters:
@@ -157,7 +157,7 @@ def _replayed_trial(
     model: _GrowingModel,
     trial: Mapping[str, Any],
     rollout: TensorDictBase,
-    policy: RBFPolicy,
+    policy: AnyPolicy,
     samples: int,
 ) -> ReplayedTrial:
     """A trial; the model then has learned from its own rollout (T,)."""
@@ -179,8 +179,8 @@ def _replayed_trial(
 @torch.no_grad()
 def foresight(
     experiment: Task,
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
+    policy: AnyPolicy,
+    dynamics: ForwardModel,
     rollout: TensorDictBase,
     horizon: int,
 ) -> dict[str, Any]:
@@ -215,8 +215,8 @@ def foresight(
 
 def _along_the_trajectory(
     experiment: Task,
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
+    policy: AnyPolicy,
+    dynamics: ForwardModel,
     rollout: TensorDictBase,
     horizon: int,
 ) -> dict[str, Any]:
@@ -249,7 +249,7 @@ def _spread_share(experiment: Task, predicted: Gaussian, untrusted: Tensor) -> f
 
 @torch.no_grad()
 def imagined_errors(
-    experiment: Task, policy: RBFPolicy, dynamics: GPDynamics, samples: int
+    experiment: Task, policy: AnyPolicy, dynamics: ForwardModel, samples: int
 ) -> Tensor:
     """Errors (samples,) of rollouts that the model imagines, each step drawn from its posterior."""
     generator, robot = torch.Generator().manual_seed(SAMPLE_SEED), (policy, dynamics)

@@ -17,6 +17,7 @@ from torch import Tensor
 from reproduction.baselines.separate_policies import SeparatePolicies
 from reproduction.learned import Learned, load_learned
 from reproduction.reproduction import Results, Run, learning_run
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure, plot_heat_map
@@ -208,7 +209,9 @@ def separate_policies(learned: Learned, experiment: TargetTask) -> list[StatePol
     """
     policies, demonstrated = [], experiment.demonstrated
     for i, target in enumerate(experiment.targets):
-        policy = learned.policy.policy.for_target(target)
+        joint = learned.policy.policy
+        assert isinstance(joint, RBFPolicy)  # as every policy for several targets is
+        policy = joint.for_target(target)
         loss = TrajectoryKLLoss(
             policy, learned.dynamics, experiment.space, demonstrated[i], experiment.noise_std
         )

@@ -44,6 +44,7 @@ from reproduction.baselines.model_peer import ModelPeer
 from reproduction.baselines.monitored_descent import DescentSettings, descend
 from reproduction.baselines.particle_posterior import ParticlePosterior
 from reproduction.baselines.squashed_network import SquashedNetwork
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
@@ -85,6 +86,7 @@ class MCPilco(ModelPeer):
         L = torch.linalg.cholesky(demonstrated.cov)
         self._target, self._factor = demonstrated.mean, L * math.sqrt(scale)
         first = experiment.with_settings(num_centres=centres).make_policy(self.generator)
+        assert isinstance(first, RBFPolicy)  # of a task without parts of a user's own
         basis, actions = first.controller.network, experiment.actions
         widths = math.sqrt(2) * first.scale  # our basis functions are exp(-1/2) at their width
         self.policy = SquashedNetwork(
@@ -144,4 +146,6 @@ def _bounded(most: float) -> Callable[[Tensor], Tensor]:
 def _speed_model(experiment: Task) -> GPDynamics:
     """A model of the velocities of a robot, from which its positions follow, if it has any."""
     velocities = bool(rates_of(experiment.space.names))
-    return experiment.with_settings(velocities_alone=velocities).make_dynamics()
+    dynamics = experiment.with_settings(velocities_alone=velocities).make_dynamics()
+    assert isinstance(dynamics, GPDynamics)
+    return dynamics

@@ -22,7 +22,9 @@ class ModelPeer(Peer):
 
     def __init__(self, experiment: Task, seed: int, dynamics: GPDynamics | None = None) -> None:
         super().__init__(experiment, seed)
-        self.dynamics = experiment.make_dynamics() if dynamics is None else dynamics
+        made = experiment.make_dynamics() if dynamics is None else dynamics
+        assert isinstance(made, GPDynamics)  # as a task has without a model of a user's own
+        self.dynamics = made
         self.experience = Experience(CAPACITY)
 
     def add(self, rollout: TensorDictBase) -> None:

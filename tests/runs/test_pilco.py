@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
 from torch_pmil import PILCO, CostTask, SaturatingCost, load_policy, own_cost
 from torch_pmil.runs.training import RunResult, train
@@ -75,3 +76,27 @@ def test_another_optimiser_searches_too(tmp_path: Path) -> None:
     result = learned(short(optimizer=torch.optim.Adam), tmp_path / "run", 1)
     assert result.trials[0].evaluations > 0
     assert result.summary["settings"]["optimizer"] == "Adam"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_cost_that_is_a_function_is_learned(seed: int, tmp_path: Path) -> None:
+    """The one of the page, by samples."""
+    pytest.importorskip("gymnasium")
+
+    def cost(states: Tensor, actions: Tensor) -> Tensor:
+        return (states[..., :2] / 0.1).square().sum(-1) + 0.01 * actions.square().sum(-1)
+
+    def in_the_middle(states: Tensor) -> Tensor:
+        return states[:, -10:, :2].abs().amax((-2, -1)) < 0.1
+
+    learner = PILCO(
+        "InvertedPendulum-v5",
+        cost=cost,
+        success=in_the_middle,
+        horizon=50,
+        control_period=0.04,
+        state=("x", "q", "dx", "dq"),
+    )
+    learner.learn(seed=seed, out=tmp_path / "run")
+    assert learner.evaluate() >= 0.95

@@ -21,8 +21,9 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from reproduction.sampling_frequency import Interval
 from torch_pmil.plotting import plot_success_over_experience
 from torch_pmil.runs.summaries import read_summary, success_over_experience
+from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Task, with_own
+from torch_pmil.tasks.task import Task
 
 SEEDS, QUICK_SEEDS, QUICK_TRIALS, TRIALS = range(10), range(1), 2, 12
 LEARNED = 0.95

@@ -13,7 +13,8 @@ from torch.testing import assert_close
 from torch_pmil import GPDynamics, SaturatingCost, load_experiment, load_policy, own_cost
 from torch_pmil.runs.figures import figures_of
 from torch_pmil.runs.training import RunResult, train
-from torch_pmil.tasks.task import Task, with_own
+from torch_pmil.tasks.own_parts import with_own
+from torch_pmil.tasks.task import Task
 
 STATE = ("x", "q", "dx", "dq")
 UPRIGHT = SaturatingCost(target={"q": 0.0}, width=0.1)

@@ -113,7 +113,7 @@ class GPDynamics(ForwardModel):
     def expansion(self) -> KernelExpansion:
         """The posterior with its cached K^-1 and beta, without graph; RuntimeError before data."""
         if self._expansion is None:
-            self._check_has_data()
+            self.check_has_data()
             exact = KernelExpansion.from_exact_gp
             with torch.no_grad():
                 self._expansion = self._sparse_expansion() if self.sparse else exact(self.gp)

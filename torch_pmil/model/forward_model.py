@@ -129,7 +129,8 @@ class ForwardModel(nn.Module):
             data.detach().to(torch.float64, copy=True) for data in (inputs, targets)
         )
 
-    def _check_has_data(self) -> None:
+    def check_has_data(self) -> None:
+        """Raise RuntimeError before there are data."""
         if len(self.train_inputs) == 0:
             raise RuntimeError(
                 "the dynamics model has no data yet: call fit(inputs, targets) first"

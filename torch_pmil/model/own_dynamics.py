@@ -58,7 +58,7 @@ class OwnDynamics(ForwardModel):
     def own(self) -> Any:
         """The object fitted to the present data; RuntimeError before there are any."""
         if not self._fitted:
-            self._check_has_data()
+            self.check_has_data()
             own = copy.deepcopy(self._given[0])
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(FIT_SEED)

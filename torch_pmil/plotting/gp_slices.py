@@ -141,6 +141,7 @@ def _check(
     output_units: Sequence[str],
     over: Sequence[int],
 ) -> None:
+    dynamics.check_has_data()
     inputs, outputs = dynamics.num_inputs, dynamics.num_outputs
     fits_inputs = point.shape == (inputs,) and len(input_names) == inputs
     if not (fits_inputs and len(output_names) == len(output_units) == outputs):

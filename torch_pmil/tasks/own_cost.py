@@ -19,11 +19,11 @@ from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
 from torch_pmil.tasks.fitting import actions_of
+from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.own_robot import entries_of, observed_entries, parted, robot_of
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_starts import start_around, starts_of
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import with_own
 
 WITHIN = 1.0  # widths, of the distance from the target that is a success
 HALF = 0.5  # of an error that is 0 or 1

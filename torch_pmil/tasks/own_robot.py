@@ -27,6 +27,7 @@ from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_samplings import samplings_of
@@ -34,7 +35,7 @@ from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import Task, with_own
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.unit_checks import check_units
 
 TOLERANCE = 2.0  # standard deviations of the demonstrations

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Self, TypeVar
+from dataclasses import asdict, dataclass, field
+from typing import Self
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 
 from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
+from torch_pmil.control.module_policy import AnyPolicy, ModulePolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
@@ -26,11 +26,10 @@ from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.history import History
 from torch_pmil.envs.rollouts import OfStates, as_executed
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.model.forward_model import ForwardModel
-from torch_pmil.model.own_dynamics import OwnDynamics, check_own_model
+from torch_pmil.model.own_dynamics import OwnDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -385,33 +384,6 @@ class Task(Settings):
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Inputs of a policy (S, D') in starts (S, D)."""
         return self.space.features(starts)
-
-
-T = TypeVar("T", bound=Task)
-
-
-def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakeModule | None, model: Any) -> T:
-    """The same task with parts of the method that are a user's own, where they are not None.
-
-    Raises TypeError if one is of another kind.
-    """
-    parts: dict[str, Any] = {}
-    if optimizer is not None:
-        if not callable(optimizer):
-            got = type(optimizer).__name__
-            raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
-        parts["optimizer"] = optimizer
-    if policy is not None:
-        if isinstance(policy, nn.Module) or not callable(policy):
-            raise TypeError(
-                "policy must make a torch.nn.Module from the numbers of features and actions, as "
-                f"torch.nn.Linear does, got {type(policy).__name__}"
-            )
-        parts["make_module"] = policy
-    if model is not None:
-        check_own_model(model)
-        parts["own_model"] = model
-    return replace(task, method=replace(task.method, **parts)) if parts else task
 
 
 def check_task(task: Task) -> None:

@@ -138,7 +138,7 @@ def test_formulas_compute_where_marginals_are_for_other_batches(
 
 
 def drawn_functions(draws: Draws) -> FunctionSamples:
-    return FunctionSamples.draw(make_parts(draws)[1], 4, draws.generator)
+    return make_parts(draws)[1].functions(4, draws.generator)
 
 
 @pytest.mark.parametrize("differentiable", [False, True])

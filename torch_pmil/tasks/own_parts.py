@@ -1,0 +1,39 @@
+"""Parts of the method that are a user's own: optimiser, policy and forward model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from torch import nn
+
+from torch_pmil.control.module_policy import MakeModule
+from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.model.own_dynamics import check_own_model
+from torch_pmil.tasks.task import Task
+
+T = TypeVar("T", bound=Task)
+
+
+def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakeModule | None, model: Any) -> T:
+    """The same task with parts of the method that are a user's own, where they are not None.
+
+    Raises TypeError if one is of another kind.
+    """
+    parts: dict[str, Any] = {}
+    if optimizer is not None:
+        if not callable(optimizer):
+            got = type(optimizer).__name__
+            raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
+        parts["optimizer"] = optimizer
+    if policy is not None:
+        if isinstance(policy, nn.Module) or not callable(policy):
+            raise TypeError(
+                "policy must make a torch.nn.Module from the numbers of features and actions, as "
+                f"torch.nn.Linear does, got {type(policy).__name__}"
+            )
+        parts["make_module"] = policy
+    if model is not None:
+        check_own_model(model)
+        parts["own_model"] = model
+    return replace(task, method=replace(task.method, **parts)) if parts else task

@@ -54,6 +54,7 @@ class Drawn:
         self.module = nn.Linear(3, 2)
 
     def fit(self, inputs: Tensor, targets: Tensor) -> None:
+        assert torch.is_grad_enabled()  # wherever the first prediction asks for the fit
         with torch.no_grad():
             self.module.weight.add_(torch.randn(2, 3) + targets.mean())
 
@@ -122,6 +123,8 @@ def test_every_fit_begins_anew_and_repeats_itself(draws: Draws) -> None:
     assert torch.equal(own.predict(known[0])[0], first)
     resumed = OwnDynamics(model, 3, 2)
     resumed.load_state_dict(own.state_dict())
+    with torch.no_grad():
+        assert resumed.own is not own.own
     assert torch.equal(resumed.predict(known[0])[0], first)
     assert torch.equal(model.module.weight, before)  # a user's object stays as it is
     assert torch.equal(torch.random.get_rng_state(), state)

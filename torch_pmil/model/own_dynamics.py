@@ -60,7 +60,7 @@ class OwnDynamics(ForwardModel):
         if not self._fitted:
             self.check_has_data()
             own = copy.deepcopy(self._given[0])
-            with torch.random.fork_rng(devices=[]):
+            with torch.random.fork_rng(devices=[]), torch.enable_grad():
                 torch.manual_seed(FIT_SEED)
                 own.fit(self.train_inputs.clone(), self.train_targets.clone())
             self._fitted = (own,)

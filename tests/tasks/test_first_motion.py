@@ -161,9 +161,9 @@ def test_motion_that_is_too_short_decides_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("losses", "held"),
-    [((0.10, 0.12, 0.40), 2), ((0.40, 0.12, 0.10), 4), ((2.0, 2.1, 1.9), 1), ((4.0, 2.1, 1.9), 2)],
+    [((0.10, 0.12, 0.40), 2), ((0.40, 0.12, 0.10), 4), ((2.0, 2.1, 1.9), 1), ((4.0, 2.1, 1.9), 1)],
 )
-def test_step_is_the_longest_alike_of_good_models_and_the_shortest_alike_of_bad_ones(
+def test_step_is_the_longest_alike_of_good_models_and_the_shortest_of_bad_ones(
     losses: tuple[float, ...], held: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = dict(zip((1, 2, 4), losses, strict=True))

@@ -93,7 +93,7 @@ def test_another_optimiser_can_be_given() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"cost": 1.0}, "cost must be a SaturatingCost or a QuadraticCost, got 1.0"),
+        ({"cost": 1.0}, "a QuadraticCost or a function of states and actions, got 1.0"),
         ({"state": ()}, "state must name the entries of the observation, got none"),
         ({"state": STATE[:3]}, "state must name the 4 entries of the observation, got x, dx, q"),
         (

@@ -15,7 +15,7 @@ from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import save_tensors
-from torch_pmil.tasks.first_motion import Choice, FirstMotion, choose, explore
+from torch_pmil.tasks.first_motion import GOOD, Choice, FirstMotion, choose, explore
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
 
@@ -70,6 +70,9 @@ def in_words(task: Task, choice: Choice) -> str:
         >>> lost = {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25}
         >>> in_words(task, Choice(Sampling(2), lost)).partition(" (")[0]
         'steps of 0.2 s: the simplest that predicts the first motion well'
+        >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
+        >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
+        "steps of 0.1 s: the robot's own, since no step predicts the first motion well"
     """
     chosen = choice.sampling.described(task.time_step)
     if not choice.lost:
@@ -78,8 +81,10 @@ def in_words(task: Task, choice: Choice) -> str:
         ", ".join(f"by {name}: {nats:.{digits}f}" for name, nats in of.items())
         for of, digits in ((choice.lost, 2), (choice.gained, 1))
     )
+    well = min(choice.lost.values()) <= GOOD
+    why = "the simplest that predicts" if well else "the robot's own, since no step predicts"
     return (
-        f"{chosen}: the simplest that predicts the first motion well (nats lost for each entry "
+        f"{chosen}: {why} the first motion well (nats lost for each entry "
         f"{lost}{gained and '; nats gained '}{gained})"
     )
 

@@ -25,7 +25,7 @@ FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # those of an error of half the observation noise
 ALIKE, SMALL = 1.25, 0.125
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion was
-# too short to learn from, and short steps leave the next models the most data
+# too short to tell steps apart, and short ones leave the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
 
@@ -99,7 +99,7 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     Models of each step are compared by :func:`~torch_pmil.model.held_out.held_out_loss` over one
     span of time. The step is the longest of those that predict alike: its predictions take the
     least time, and pass through the fewest steps. If even the best model is bad, it is the shortest
-    of them. The state holds the past if that explains the motion
+    of all. The state holds the past if that explains the motion
     (:func:`~torch_pmil.model.past_evidence.evidence_of_the_past`): past actions if they act late,
     else the last reading and action. A motion that was cut short too early to be judged decides
     nothing.
@@ -129,9 +129,10 @@ def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
     lost = [_loss(resampled(task, step), motion, longest // step.held) for step in steps]
     found, least = list(zip(steps, lost, strict=True)), min(lost)
     alike = [step.held for step, nats in found if nats <= ALIKE * least + SMALL]
+    held = alike[-1] if least <= GOOD else steps[0].held
     period = task.time_step
     by_step = {step.described(period): nats for step, nats in found}
-    return alike[-1 if least <= GOOD else 0], by_step
+    return held, by_step
 
 
 def _evidence(task: Task, motion: FirstMotion, held: int) -> tuple[PastEvidence, int]:

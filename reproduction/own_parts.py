@@ -92,7 +92,7 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Success, experience and computing of each, and what each seed differs by."""
+    """Success and experience of each, and what each seed differs by."""
     runs = [read_summary(folder) for folder in folders]
     headline: dict[str, float | None] = {}
     figures = {}
@@ -103,7 +103,6 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
                 "runs": len(found),
                 "seeds_at_95": sum(run["saved_success_rate"] >= LEARNED for run in found),
                 "median_first_95_s": median(first_at_95(run) for run in found),
-                "median_cpu_seconds": median(run["wall_seconds"] for run in found),
             }
             name = what if label == what else f"{what}_default"
             headline |= {f"{name}_{key}": _finite(number) for key, number in numbers.items()}

@@ -27,7 +27,7 @@ from torch_pmil.tasks.task import Task
 
 SEEDS, QUICK_SEEDS, QUICK_TRIALS, TRIALS = range(10), range(1), 2, 12
 LEARNED = 0.95
-FEWER = 3  # seeds of the Matern kernel, whose formulas in PyTorch take minutes a trial
+FEWER = 2  # seeds of the Matern kernel, whose formulas in PyTorch take minutes a trial
 GRAVITY, FRICTION, PERIOD, SUBSTEPS = 9.82, 0.1, 0.1, 2
 OFF = 4 / 3  # by which masses and length of the physics are wrong
 CART, POLE, LENGTH = OFF * 0.5, OFF * 0.5, OFF * 0.6  # kg, kg, m

@@ -234,7 +234,8 @@ def _adjoint_of_network(
         work.d_inputs[d] += (sums[d] - inputs[d] * value) / network.squares[k, d]
 
 
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # of points that a line search tries and leaves
+# a line search tries such points, and leaves them
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def roll_back(
     robot: Robot,
     tape: ParticleTape,

@@ -34,7 +34,7 @@ def write_program(
         path: the file to write, ending in .pt2 or .onnx.
         controller: of the features of the state, then the target if there is one.
         space: of the state.
-        targets: number of entries of a target, 0 if there is none.
+        targets: number of entries of a target, or 0 for a policy without targets.
         batch: whether the program takes batches.
 
     Raises:

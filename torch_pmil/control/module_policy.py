@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive_entries, check_tensor
+from torch_pmil.control.policy import PolicyNetwork
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.lbfgs import minimise
 
@@ -16,7 +16,7 @@ MakeModule = Callable[[int, int], nn.Module]  # from the numbers of features and
 FITS = 100  # iterations of L-BFGS by which a module learns given actions
 
 
-class ModulePolicy(nn.Module):
+class ModulePolicy(PolicyNetwork):
     r"""Any module whose output is squashed to the range of the actions.
 
     .. math:: \pi(x) = \bar u + u_{\max} \tanh f(x / s)
@@ -32,7 +32,7 @@ class ModulePolicy(nn.Module):
         u_middle: middles of the actions' ranges (F,).
 
     Raises:
-        TypeError: the module is none of PyTorch, or does not return a tensor.
+        TypeError: the module is not a ``torch.nn.Module``, or does not return a tensor.
         ValueError: it has no parameters, or its output has another shape or is not finite.
 
     Example:
@@ -42,29 +42,12 @@ class ModulePolicy(nn.Module):
         torch.Size([5, 1])
     """
 
-    u_max: Tensor
-    u_middle: Tensor
-    scale: Tensor
-
     def __init__(self, module: nn.Module, scale: Tensor, u_max: Tensor, u_middle: Tensor) -> None:
-        super().__init__()
         if not isinstance(module, nn.Module):
             raise TypeError(f"policy must be a torch.nn.Module, got {type(module).__name__}")
-        check_tensor("scale", scale, ("inputs",))
-        check_positive_entries("scale", scale)
-        check_tensor("u_max", u_max, ("F",))
-        check_positive_entries("u_max", u_max)
-        check_tensor("u_middle", u_middle, (len(u_max),))
+        super().__init__(scale, u_max, u_middle)
         self.module = module.double()
-        self.register_buffer("scale", scale.double())
-        self.register_buffer("u_max", u_max.double())
-        self.register_buffer("u_middle", u_middle.double())
         self._check()
-
-    @property
-    def num_inputs(self) -> int:
-        """Number D' of features that it sees."""
-        return len(self.scale)
 
     @property
     def controller(self) -> ModulePolicy:

@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive, check_positive_entries, check_tensor
+from torch_pmil.checks import check_positive, check_tensor
+from torch_pmil.control.policy import PolicyNetwork
 from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
@@ -27,7 +28,7 @@ from torch_pmil.gp.trigonometry import squash
 MAX_SINE = 0.999
 
 
-class RBFPolicy(nn.Module):
+class RBFPolicy(PolicyNetwork):
     r"""RBF network whose output is squashed to the range of the actions (Eqs. 25-27).
 
     .. math:: \pi(x) = \bar u + u_{\max} \sin\left(
@@ -55,33 +56,16 @@ class RBFPolicy(nn.Module):
         torch.Size([2])
     """
 
-    u_max: Tensor
-    u_middle: Tensor
-    scale: Tensor
-
     def __init__(
         self, centres: Tensor, u_max: Tensor, scale: Tensor, u_middle: Tensor | None = None
     ) -> None:
-        super().__init__()
         check_tensor("centres", centres, ("m", "inputs"))
         m, inputs = centres.shape
         check_tensor("scale", scale, (inputs,))
-        check_tensor("u_max", u_max, ("F",))
-        check_positive_entries("scale", scale)
-        check_positive_entries("u_max", u_max)
-        u_middle = torch.zeros_like(u_max) if u_middle is None else u_middle
-        check_tensor("u_middle", u_middle, (len(u_max),))
-        self.register_buffer("u_max", u_max.double())
-        self.register_buffer("u_middle", u_middle.double())
-        self.register_buffer("scale", scale.double())
+        super().__init__(scale, u_max, u_middle)
         self.centres = nn.Parameter(centres.double() / self.scale)
         self.weights = nn.Parameter(torch.zeros(m, len(u_max), dtype=torch.float64))
         self.log_widths = nn.Parameter(torch.zeros(len(u_max), inputs, dtype=torch.float64))
-
-    @property
-    def num_inputs(self) -> int:
-        """Number D' of features that it sees, and of a target's entries."""
-        return len(self.scale)
 
     @property
     def controller(self) -> Controller:

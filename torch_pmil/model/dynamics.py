@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import gpytorch
 import torch
@@ -83,7 +83,6 @@ class GPDynamics(ForwardModel):
         True
     """
 
-    has_moments: ClassVar[bool] = True
     searched_size: Tensor
 
     def __init__(

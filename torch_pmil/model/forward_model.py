@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -38,8 +38,7 @@ class FitResult:
 class ForwardModel(nn.Module):
     r"""Base class of models of :math:`x_{t+1}` given features of the state and the action.
 
-    A subclass fits itself to data, predicts mean and variance, and draws functions. Where
-    ``has_moments``, it also has moments at Gaussian inputs in closed form.
+    A subclass fits itself to data, predicts mean and variance, and draws functions.
 
     Args:
         num_inputs: number D' + F of features and actions.
@@ -52,7 +51,6 @@ class ForwardModel(nn.Module):
         ValueError: a number is out of range, or is not that of the known part.
     """
 
-    has_moments: ClassVar[bool] = False
     train_inputs: Tensor
     train_targets: Tensor
     position_rule: Tensor

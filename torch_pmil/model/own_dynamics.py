@@ -82,7 +82,7 @@ class OwnDynamics(ForwardModel):
 
     def predict(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and variance (*batch, E), of sampled functions or of ``moments``."""
-        if not hasattr(self.own, "sample"):
+        if not _has(self.own, "sample"):
             return self._moments(inputs)
         functions = self.functions(PREDICTED_BY, torch.Generator().manual_seed(FIT_SEED))
         outputs = functions(inputs.expand(PREDICTED_BY, *inputs.shape))
@@ -91,7 +91,7 @@ class OwnDynamics(ForwardModel):
     def functions(self, count: int, generator: torch.Generator) -> Functions:
         """So many functions of the object."""
         check_whole("count", count, 1)
-        if not hasattr(self.own, "sample"):
+        if not _has(self.own, "sample"):
             return self._by_moments(count, generator)
         functions = self.own.sample(count, generator)
 
@@ -147,9 +147,13 @@ class OwnDynamics(ForwardModel):
 
 def check_own_model(model: object) -> None:
     """Raise TypeError unless an object has the methods of a model."""
-    known = [name for name in ("fit", "sample", "moments") if callable(getattr(model, name, None))]
+    known = [name for name in ("fit", "sample", "moments") if _has(model, name)]
     if "fit" not in known or len(known) < 2:
         raise TypeError(
             "model must have the methods fit(inputs, targets), and sample(count, generator) or "
             f"moments(inputs), got {type(model).__name__} with {', '.join(known) or 'none of them'}"
         )
+
+
+def _has(model: object, method: str) -> bool:
+    return callable(getattr(model, method, None))

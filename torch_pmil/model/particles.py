@@ -135,13 +135,25 @@ class ParticlePrediction:
         Raises:
             PredictionError: names the time step and the state that is not finite.
         """
-        draws = self.count, torch.Generator().manual_seed(self.seed)
-        trajectory = fitted(sample_trajectories(initial, policy, dynamics, space, horizon, *draws))
+        states = self.rollouts(initial, policy, dynamics, space, horizon)
+        trajectory = _fitted(states[..., 1:, :])
         check_finite(trajectory, space)
         return trajectory
 
+    def rollouts(
+        self,
+        initial: Gaussian,
+        policy: Policy,
+        dynamics: ForwardModel,
+        space: StateSpace,
+        horizon: int,
+    ) -> Tensor:
+        """The particles themselves, at t = 0..T, (count, *batch, T + 1, D)."""
+        draws = self.count, torch.Generator().manual_seed(self.seed)
+        return sample_rollouts(initial, policy, dynamics, space, horizon, *draws)
 
-def fitted(samples: Tensor) -> Gaussian:
+
+def _fitted(samples: Tensor) -> Gaussian:
     """Mean and unbiased covariance of samples (N, *batch, D)."""
     mean = samples.mean(0)
     deviation = samples - mean

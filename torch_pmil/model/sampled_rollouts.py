@@ -21,9 +21,8 @@ from torch_pmil.gp.gaussian import Gaussian, normal
 from torch_pmil.model.compiled import kernels
 from torch_pmil.model.forward_model import ForwardModel, Functions
 from torch_pmil.model.function_samples import FunctionSamples
-from torch_pmil.model.particles import fitted
-from torch_pmil.model.rollout import check_finite, check_start_belief, compiled_plan
-from torch_pmil.seeds import LARGEST_SEED
+from torch_pmil.model.particles import ParticlePrediction
+from torch_pmil.model.rollout import check_start_belief, compiled_plan
 
 
 class _Bounded(torch.autograd.Function):
@@ -127,16 +126,10 @@ def noise_of_steps(
 
 
 @dataclass(frozen=True)
-class SampledPrediction:
-    r"""Prediction like :func:`predict_trajectory` for any policy and any model, by samples.
+class SampledPrediction(ParticlePrediction):
+    """Prediction for any policy and any model: each particle follows a function of its own.
 
-    Gaussians are fitted to particles at each step, of which each follows a function of its own.
-    All predictions use the same random numbers, so that a resumed run predicts as one that was not
-    stopped.
-
-    Args:
-        count: number of particles, at least two.
-        seed: seed of the random numbers.
+    Otherwise as :class:`~torch_pmil.model.particles.ParticlePrediction`.
 
     Example:
         >>> from torch import nn
@@ -151,29 +144,6 @@ class SampledPrediction:
     """
 
     count: int = 500
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_whole("count", self.count, 2)
-        check_whole("seed", self.seed, 0, LARGEST_SEED)
-
-    def __call__(
-        self,
-        initial: Gaussian,
-        policy: Policy,
-        dynamics: ForwardModel,
-        space: StateSpace,
-        horizon: int,
-    ) -> Gaussian:
-        """Predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), with noise.
-
-        Raises:
-            PredictionError: names the time step and the state that is not finite.
-        """
-        states = self.rollouts(initial, policy, dynamics, space, horizon)
-        trajectory = fitted(states[..., 1:, :])
-        check_finite(trajectory, space)
-        return trajectory
 
     def rollouts(
         self,

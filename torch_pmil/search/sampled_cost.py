@@ -8,18 +8,18 @@ from typing import NoReturn
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_whole
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.sampled_rollouts import SampledPrediction
-from torch_pmil.search.trajectory_loss import Reduction, TrajectoryLoss
+from torch_pmil.search.expected_cost import ExpectedCost
+from torch_pmil.search.trajectory_loss import LossOptions, Reduction
 
 CostFunction = Callable[[Tensor, Tensor], Tensor]
 
 
-class ExpectedSampledCost(TrajectoryLoss):
+class ExpectedSampledCost(ExpectedCost):
     r"""Mean over sampled trajectories of a cost function, summed over the horizon: ``"loss_cost"``.
 
     .. math:: \sum_{t=1}^T \mathbb E\left[c(x_t, u_{t-1})\right]
@@ -48,8 +48,6 @@ class ExpectedSampledCost(TrajectoryLoss):
         tensor([0., 0., 0., 0., 0.], dtype=torch.float64, grad_fn=...)
     """
 
-    out_keys = ["loss_cost"]
-    label, unit = "cost", ""
     prediction: SampledPrediction
 
     def __init__(
@@ -62,14 +60,9 @@ class ExpectedSampledCost(TrajectoryLoss):
         reduction: Reduction = "mean",
         prediction: SampledPrediction | None = None,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction, prediction)
-        check_whole("horizon", horizon, 1)
-        self.cost, self._horizon = cost, horizon
-
-    @property
-    def horizon(self) -> int:
-        """T, number of steps after the start."""
-        return self._horizon
+        options: LossOptions = {"reduction": reduction, "prediction": prediction}
+        super().__init__(actor_network, dynamics, space, horizon, **options)
+        self.cost = cost
 
     @property
     def has_moments(self) -> bool:
@@ -84,10 +77,6 @@ class ExpectedSampledCost(TrajectoryLoss):
         if self._penalty is None:
             return costs
         return costs + self._penalty(self.predict_states(initial, steps))
-
-    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon)."""
-        return self.spread(initial, horizon)
 
     def sample_costs(self, states: Tensor) -> Tensor:
         r"""Costs (N, \*batch, T) of sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""

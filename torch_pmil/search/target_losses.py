@@ -7,17 +7,18 @@ from typing import Unpack
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_positive, check_tensor, check_whole
+from torch_pmil.checks import check_positive, check_tensor
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.forward_model import ForwardModel
+from torch_pmil.search.expected_cost import ExpectedCost
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
-from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
+from torch_pmil.search.trajectory_loss import LossOptions
 
 
-class TargetLoss(TrajectoryLoss):
+class TargetLoss(ExpectedCost):
     r"""Base class of expected costs of the distance from a target, summed over the horizon.
 
     .. math:: r = R(z - z_{\mathrm{target}}), \qquad R^\top R = W / \sigma^2
@@ -40,9 +41,6 @@ class TargetLoss(TrajectoryLoss):
             the reduction is unknown.
     """
 
-    out_keys = ["loss_cost"]
-    label, unit = "cost", ""
-
     def __init__(
         self,
         actor_network: AnyPolicy,
@@ -54,7 +52,7 @@ class TargetLoss(TrajectoryLoss):
         weight: Tensor | None = None,
         **options: Unpack[LossOptions],
     ) -> None:
-        super().__init__(actor_network, dynamics, space, **options)
+        super().__init__(actor_network, dynamics, space, horizon, **options)
         M = space.match_space.dim
         if target.shape != (M,):
             raise ValueError(
@@ -63,24 +61,10 @@ class TargetLoss(TrajectoryLoss):
             )
         check_tensor("target", target, (M,))
         check_positive("width", width)
-        check_whole("horizon", horizon, 1)
         weight = torch.eye(M) if weight is None else weight
         check_tensor("weight", weight, (M, M))
-        self._horizon = horizon
         self.register_buffer("target", target.double())
         self.register_buffer("to_widths", _root(weight.double()) / width)
-
-    @property
-    def horizon(self) -> int:
-        """T, number of steps after the start."""
-        return self._horizon
-
-    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon).
-
-        The cost itself is high far from the target, however sure the prediction is.
-        """
-        return self.spread(initial, horizon)
 
     def _residual(self, observed: Gaussian) -> Gaussian:
         """Beliefs over r."""

@@ -23,6 +23,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Comparison, Objective
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.model.rollout import (
     PredictionError,
@@ -42,7 +43,7 @@ class LossOptions(TypedDict, total=False):
     """Arguments that every :class:`TrajectoryLoss` takes by name."""
 
     reduction: Reduction
-    prediction: Prediction
+    prediction: Prediction | None
     mean_prediction: MeanPrediction
 
 
@@ -128,7 +129,8 @@ class TrajectoryLoss(LossModule):
     @property
     def has_moments(self) -> bool:
         """Whether the marginals of policy and model are known in closed form."""
-        return isinstance(self.actor_network, RBFPolicy) and self.dynamics.has_moments
+        of_model = isinstance(self.dynamics, GPDynamics)
+        return of_model and isinstance(self.actor_network, RBFPolicy)
 
     @property
     def functional(self) -> bool:

@@ -24,8 +24,8 @@ FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # what models that count as alike may lose: a share of the least, and nats for each observed entry,
 # those of an error of half the observation noise
 ALIKE, SMALL = 1.25, 0.125
-# nats for each entry that a good model loses at most. Where the best one loses more, the motion was
-# too short to tell steps apart, and short ones leave the next models the most data
+# nats for each entry that a good model loses at most. Where the best one loses more, the motion is
+# too short to compare steps, and the shortest step gives the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
 

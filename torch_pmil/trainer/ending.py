@@ -67,7 +67,7 @@ class Ending:
         return ""
 
     def imitated(self, trials: Sequence[Trial]) -> int:
-        """Number of the first trial after which a run ends without its limit; 0 if there is none.
+        """Number of the first trial after which a run ends before its limit, or 0.
 
         It is that of the last trial of imitation, in a run that then improves.
         """

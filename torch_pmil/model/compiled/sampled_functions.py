@@ -74,7 +74,7 @@ def write_outputs(
     """Write outputs (N, B, E) of each function at inputs (N, B, D' + F) of its own.
 
     Args:
-        point, terms: scratch, as of :func:`evaluate`.
+        point, terms: scratch arrays, as in :func:`evaluate`.
         slopes: out, of the outputs in the inputs, (N, B, E, W).
     """
     for i in range(inputs.shape[0]):

@@ -1,0 +1,53 @@
+"""Base class of expected costs, which need no demonstrations."""
+
+from __future__ import annotations
+
+from typing import Unpack
+
+from torch import Tensor
+
+from torch_pmil.checks import check_whole
+from torch_pmil.control.module_policy import AnyPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.forward_model import ForwardModel
+from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
+
+
+class ExpectedCost(TrajectoryLoss):
+    """Base class of expected costs, summed over a horizon: ``"loss_cost"``.
+
+    Args:
+        actor_network, dynamics, space, options: as in :class:`TrajectoryLoss`.
+        horizon: T, number of steps after the start.
+
+    Raises:
+        ValueError: the horizon is not a whole number of at least 1, or the reduction is unknown.
+    """
+
+    out_keys = ["loss_cost"]
+    label, unit = "cost", ""
+
+    def __init__(
+        self,
+        actor_network: AnyPolicy,
+        dynamics: ForwardModel,
+        space: StateSpace,
+        horizon: int,
+        **options: Unpack[LossOptions],
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, **options)
+        check_whole("horizon", horizon, 1)
+        self._horizon = horizon
+
+    @property
+    def horizon(self) -> int:
+        """T, number of steps after the start."""
+        return self._horizon
+
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon).
+
+        A cost is high far from the goal, however sure the prediction is.
+        """
+        return self.spread(initial, horizon)

@@ -172,6 +172,18 @@ def test_step_is_the_longest_alike_of_good_models_and_the_shortest_of_bad_ones(
     assert choose(task, explore(task, seed=100)).sampling.held == held
 
 
+@pytest.mark.parametrize(("with_past", "held"), [(0.3, {"past_actions": 2}), (4.5, {})])
+def test_past_that_explains_the_motion_is_held_if_the_model_then_is_good(
+    with_past: float, held: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A falling pole gains 27 nats by its past, and its model loses 4.5 with and without."""
+    monkeypatch.setattr(first_motion, "_loss", lambda task, *_: with_past if task.history else 4.8)
+    task = task_of(Joint(late=2), 60, step=0.05)
+    choice = choose(task, explore(task, seed=100))
+    assert choice.sampling.past == held and choice.gained["the action 0.1 s before"] > 9
+    assert choice.lost == {"steps of 0.05 s": 4.8, "steps of 0.05 s, past_actions=2": with_past}
+
+
 def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:
     task = replace(task_of(), samplings=())
     assert samplings_of(task, Sampling(), "auto", "auto")[0] == Sampling()

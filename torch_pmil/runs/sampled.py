@@ -72,7 +72,7 @@ def in_words(task: Task, choice: Choice) -> str:
         'steps of 0.2 s: the simplest that predicts the first motion well'
         >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
         >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
-        "steps of 0.1 s: the robot's own, since no step predicts the first motion well"
+        "steps of 0.1 s: the robot's own, since no model predicts the first motion well"
     """
     chosen = choice.sampling.described(task.time_step)
     if not choice.lost:
@@ -82,7 +82,7 @@ def in_words(task: Task, choice: Choice) -> str:
         for of, digits in ((choice.lost, 2), (choice.gained, 1))
     )
     well = min(choice.lost.values()) <= GOOD
-    why = "the simplest that predicts" if well else "the robot's own, since no step predicts"
+    why = "the simplest that predicts" if well else "the robot's own, since no model predicts"
     return (
         f"{chosen}: {why} the first motion well (nats lost for each entry "
         f"{lost}{gained and '; nats gained '}{gained})"

@@ -25,7 +25,8 @@ FEWEST_SPANS = 4  # of a motion by which samplings are judged
 # those of an error of half the observation noise
 ALIKE, SMALL = 1.25, 0.125
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion is
-# too short to compare steps, and the shortest step gives the next models the most data
+# too short to compare samplings: likelihoods of a falling pole seem to show a past that matters,
+# and the shortest step gives the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
 
@@ -84,7 +85,7 @@ class Choice:
 
     Args:
         sampling: the choice.
-        lost: nats that a model of each step loses for each entry, by the step in words.
+        lost: nats that a model of each sampling loses for each entry, by the sampling in words.
         gained: nats by which the past explains the motion better, by what of it in words.
     """
 
@@ -100,9 +101,9 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     span of time. The step is the longest of those that predict alike: its predictions take the
     least time, and pass through the fewest steps. If even the best model is bad, it is the shortest
     of all. The state holds the past if that explains the motion
-    (:func:`~torch_pmil.model.past_evidence.evidence_of_the_past`): past actions if they act late,
-    else the last reading and action. A motion that was cut short too early to be judged decides
-    nothing.
+    (:func:`~torch_pmil.model.past_evidence.evidence_of_the_past`) and the model then is good: past
+    actions if they act late, else the last reading and action. A motion that was cut short too
+    early to be judged decides nothing.
 
     Args:
         task: with ``samplings``.
@@ -118,7 +119,10 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     sampling = Sampling(held)
     if evidence.is_likely:
         late = -(-evidence.periods * every // held)
-        sampling = Sampling(held, 0, late) if evidence.acts_late else Sampling(held, 1, 1)
+        past = Sampling(held, 0, late) if evidence.acts_late else Sampling(held, 1, 1)
+        nats = _loss(resampled(task, past), motion, longest // held)
+        lost[past.described(task.time_step)] = nats
+        sampling = past if nats <= GOOD else sampling
     return Choice(sampling, lost, evidence.by_name)
 
 

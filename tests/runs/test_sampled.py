@@ -6,10 +6,14 @@ import json
 from functools import partialmethod
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 
 from torch_pmil import PMIL
+from torch_pmil.control.tensor_file import load_tensors
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.files import FileError
@@ -17,6 +21,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.sampled import MOTION, SAMPLING, sampled
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks import first_motion
+from torch_pmil.tasks.first_motion import explore, ran_away
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
@@ -48,12 +53,60 @@ def test_motion_and_choice_are_taken_up_again(
 ) -> None:
     lines: list[str] = []
     chosen, motion = sampled(task(), 100, tmp_path, resume=False, report=lines.append)
-    assert chosen.samplings == () and lines[0].startswith("steps of 0.")
+    assert chosen.samplings == () and lines[-1].startswith("steps of 0.")
     assert set(json.loads((tmp_path / SAMPLING).read_text())["lost"]) >= {"steps of 0.1 s"}
     monkeypatch.setattr(first_motion, "held_out_loss", None)  # nothing is compared anew
     again, same = sampled(task(), 100, tmp_path, resume=True, report=lines.append)
-    assert again.settings == chosen.settings and lines[1] == lines[0]
+    assert again.settings == chosen.settings and lines[-1] == lines[-2]
     assert torch.equal(same["observation"], motion["observation"])
+
+
+class Falling(gymnasium.Env):
+    """A pole that falls from upright within a second, whatever is done."""
+
+    dt = 0.05
+
+    observation_space = Box(-np.inf, np.inf, (2,), np.float64)
+    action_space = Box(-1.0, 1.0, (1,), np.float64)
+
+    def reset(self, *, seed: int | None = None, options: object = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        self.state = np.array([0.05, 0.0]) + 0.01 * self.np_random.standard_normal(2)
+        return self.state, {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        q, dq = self.state
+        dq = dq + 0.05 * (40 * np.sin(q) + action[0])
+        self.state = np.array([q + 0.05 * dq, dq])
+        return self.state, 0.0, False, False, {}
+
+
+def balancing(size: float) -> Task:
+    way = size * torch.linspace(1, 0, 51).double()[:, None]
+    recorded = Demonstrations(torch.stack([way, 1.1 * way]), 0.05, ("q",))
+    return own_robot(Falling(), recorded, 0.05, state=("q", "dq"), step=0.05)
+
+
+def test_robot_that_ran_away_is_moved_again_by_half_the_actions(tmp_path: Path) -> None:
+    lines: list[str] = []
+    task = balancing(0.05)
+    fell = explore(task, 100)
+    assert ran_away(task, fell)
+    motion = load_tensors(_moved(task, tmp_path, lines) / MOTION)
+    assert torch.allclose(motion["actions"], fell.actions / 2)
+    assert lines[0].startswith("the first motion ran away") and len(lines) == 2
+
+
+def test_robot_that_stays_is_moved_once(tmp_path: Path) -> None:
+    lines: list[str] = []
+    task = balancing(10.0)
+    motion = load_tensors(_moved(task, tmp_path, lines) / MOTION)
+    assert torch.equal(motion["actions"], explore(task, 100).actions) and len(lines) == 1
+
+
+def _moved(task: Task, out: Path, lines: list[str]) -> Path:
+    sampled(task, 100, out, resume=False, report=lines.append)
+    return out
 
 
 def test_task_that_is_sampled_already_makes_no_motion(tmp_path: Path) -> None:

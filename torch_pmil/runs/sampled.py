@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import save_tensors
-from torch_pmil.tasks.first_motion import GOOD, Choice, FirstMotion, choose, explore
+from torch_pmil.tasks.first_motion import GOOD, Choice, FirstMotion, choose, explore, ran_away
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
 
 MOTION, SAMPLING = "first_motion.pt", "sampling.json"
+GENTLER = 0.5  # share of the random actions by which a robot is moved again that ran away
 
 
 def sampled(
@@ -38,7 +40,7 @@ def sampled(
         out: its folder.
         resume: whether the run continues that is there, with its motion and its sampling.
         before: folder of another run, whose sampling is taken.
-        report: called with what was chosen, in words.
+        report: called with what was chosen, in words, and why a robot is moved again.
 
     Raises:
         RunStopped, RobotError: the operator ended the run, or the robot cannot be reached.
@@ -46,7 +48,7 @@ def sampled(
     """
     if not (task.samplings or task.unscaled):
         return task, None
-    motion = _first_motion(task, seed, out, resume)
+    motion = _first_motion(task, seed, out, resume, report)
     if task.unscaled:
         return task.scaled_by(motion.states), motion.as_rollout(task)
     known = out if resume else before
@@ -89,18 +91,29 @@ def in_words(task: Task, choice: Choice) -> str:
     )
 
 
-def _first_motion(task: Task, seed: int, out: Path, resume: bool) -> FirstMotion:
+def _first_motion(
+    task: Task, seed: int, out: Path, resume: bool, report: Callable[[str], None]
+) -> FirstMotion:
     """The first motion of the run in a folder, made if it is not there."""
-    path, motion = out / MOTION, None
+    path = out / MOTION
     if resume and path.exists():
         return _loaded(task, path)
-    while motion is None:
-        try:
-            motion = explore(task, seed)
-        except RolloutDiscarded:
-            continue
+    motion = _explored(task, seed)
+    if ran_away(task, motion):
+        report(
+            "the first motion ran away from what was demonstrated and is not learned from: the "
+            f"robot is moved again, by {GENTLER:.0%} of the random actions"
+        )
+        motion = _explored(task, seed, GENTLER)
     save_tensors(own(out, MOTION), vars(motion))
     return motion
+
+
+def _explored(task: Task, seed: int, share: float = 1.0) -> FirstMotion:
+    """A motion that the operator, if there is one, did not discard."""
+    while True:
+        with suppress(RolloutDiscarded):
+            return explore(task, seed, share)
 
 
 def _loaded(task: Task, path: Path) -> FirstMotion:

@@ -29,6 +29,9 @@ ALIKE, SMALL = 1.25, 0.125
 # and the shortest step gives the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
+# a state is far if it is more than the range of what was demonstrated beyond it, and a motion ran
+# away if more than this share of it is far
+FAR, NEARLY_ALL = 1.0, 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,25 +61,40 @@ class FirstMotion:
         return rollout
 
 
-def explore(task: Task, seed: int) -> FirstMotion:
+def explore(task: Task, seed: int, share: float = 1.0) -> FirstMotion:
     """Move the robot of a task by random actions, each held for the longest of its steps, if any.
 
     Such a motion can be seen at every step that divides the longest one.
 
+    Args:
+        task: with a random motion.
+        seed: of the run.
+        share: of the random actions.
+
     Raises:
         RunStopped, RolloutDiscarded, RobotError: raised by the robot's reset.
     """
-    exploration = task.exploration
-    assert isinstance(exploration, RandomActions)  # as a task has for which the motion decides
-    held = replace(exploration, hold=_longest(task))
+    random = task.exploration
+    assert isinstance(random, RandomActions)  # as a task has for which the motion decides
+    held = replace(random, fraction=share * random.fraction, hold=_longest(task))
     motion, env = held.motion(generator_of(Stream.MOTION, seed)), task.robot(seed)
     if task.state_box is not None:
         motion, env.guard = CautiousMotion(motion, task.state_box), task.state_box.guard
     motion.begin()
     policy = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
-    rollout = as_executed(env.rollout(exploration.steps, policy))
+    rollout = as_executed(env.rollout(held.steps, policy))
     states = states_of(rollout).double()
     return FirstMotion(states, rollout["action"].double(), Resting(task)(states[0]))
+
+
+def ran_away(task: Task, motion: FirstMotion) -> bool:
+    """Whether nearly all of a motion is far from what was demonstrated, as where a pole fell."""
+    if task.demonstrations is None:
+        return False
+    shown = task.demonstrations.positions.flatten(0, 1)
+    low, high, seen = shown.amin(0), shown.amax(0), task.space.observe(motion.states)
+    beyond = torch.maximum(low - seen, seen - high) / (high - low + task.noise_std)
+    return (beyond.amax(-1) > FAR).double().mean().item() > NEARLY_ALL
 
 
 @dataclass(frozen=True)

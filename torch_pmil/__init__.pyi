@@ -2,6 +2,7 @@
 
 from . import envs as envs
 from .control.known_part import KnownPart as KnownPart
+from .control.linear_policy import LinearPolicy as LinearPolicy
 from .control.module_policy import ModulePolicy as ModulePolicy
 from .control.policy_file import (
     PolicyFileError as PolicyFileError,

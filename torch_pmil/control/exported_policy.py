@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.export import ExportedProgram
 
+from torch_pmil.control.linear_policy import LinearController
 from torch_pmil.control.policy import Act
 from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace
@@ -69,11 +70,13 @@ def _constant(controller: Act) -> Act:
     """This controller with tensors on the CPU that are neither parameters nor views."""
     if isinstance(controller, nn.Module):
         return copy.deepcopy(controller).cpu().requires_grad_(False)
-    assert isinstance(controller, Controller)
 
     def constant(tensor: Tensor) -> Tensor:
         return tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
 
+    if isinstance(controller, LinearController):
+        return LinearController(*map(constant, vars(controller).values()))
+    assert isinstance(controller, Controller)
     parameters = *controller.parameters, controller.network.signal_variance
     network = KernelExpansion(*map(constant, parameters))
     return Controller(network, constant(controller.u_max), constant(controller.u_middle))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.policy import PolicyNetwork
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.lbfgs import minimise
@@ -87,4 +88,6 @@ class ModulePolicy(PolicyNetwork):
             raise ValueError(f"policy must map {wanted}, got numbers that are not finite")
 
 
-AnyPolicy = RBFPolicy | ModulePolicy
+# how a policy in place of the RBF network is made
+MakePolicy = MakeModule | type[LinearPolicy]
+AnyPolicy = RBFPolicy | LinearPolicy | ModulePolicy

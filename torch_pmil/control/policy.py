@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
@@ -9,6 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from torch_pmil.checks import check_positive_entries, check_tensor
+from torch_pmil.gp.gaussian import Gaussian, Moments
+from torch_pmil.gp.trigonometry import squash
 
 Act = Callable[[Tensor], Tensor]  # actions (*batch, F) at features of the state (*batch, D')
 
@@ -16,13 +19,52 @@ Act = Callable[[Tensor], Tensor]  # actions (*batch, F) at features of the state
 class Policy(Protocol):
     """Anything that gives a controller to a prediction.
 
-    A :class:`~torch_pmil.control.rbf_policy.Controller` acts on beliefs too, so that moments are
-    known in closed form. Any other function of the features is predicted by samples.
+    A :class:`SquashedController` acts on beliefs too, so that moments are known in closed form. Any
+    other function of the features is predicted by samples.
     """
 
     @property
     def controller(self) -> Act:
         """Controller of one state, or of N states for N targets."""
+
+
+class SquashedController:
+    """A controller whose output, with moments in closed form, is squashed to a range (Eq. 27).
+
+    A subclass has ``u_max``, the largest distances (F,) of an action from ``u_middle`` (F,).
+    """
+
+    u_max: Tensor
+    u_middle: Tensor
+
+    @abstractmethod
+    def raw(self, features: Tensor) -> Tensor:
+        """Output before the squashing, (*batch, F), rad, at features (*batch, D')."""
+
+    @abstractmethod
+    def raw_moments(self, features: Gaussian) -> Moments:
+        """Its moments at a belief over the features."""
+
+    def unchecked_moments(self, features: Gaussian) -> Moments:
+        """:meth:`raw_moments` at N beliefs, which need not be checked."""
+        return self.raw_moments(features)
+
+    def __call__(self, features: Tensor) -> Tensor:
+        """Action (*batch, F) at features of the state (*batch, D')."""
+        return self.u_middle + self.u_max * self.raw(features).sin()
+
+    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        """Exact belief over the action at one over the features.
+
+        The second result is Sigma^-1 cov(features, action), (*batch, D', F).
+        """
+        return self.squashed(self.raw_moments(features))
+
+    def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
+        """:meth:`on_belief` from the moments before the squashing."""
+        action, slope = squash(raw.gaussian, self.u_max)
+        action = Gaussian(self.u_middle + action.mean, action.cov)
+        return action, raw.inv_cov_cross_cov * slope[..., None, :]
 
 
 class PolicyNetwork(nn.Module):
@@ -53,6 +95,11 @@ class PolicyNetwork(nn.Module):
         self.register_buffer("u_max", u_max.double())
         self.register_buffer("u_middle", u_middle.double())
         self.register_buffer("scale", scale.double())
+
+    @property
+    def limits(self) -> tuple[Tensor, Tensor]:
+        """Largest distances (F,) from the middles (F,), and the middles."""
+        return self.u_max, self.u_middle
 
     @property
     def num_inputs(self) -> int:

@@ -11,11 +11,12 @@ entry               holds
 ``action_names``    names of the F actions; ``action_units`` holds their units, "" if not known
 ``control_period``  time for which the robot holds an action, s
 ``target_names``    names of the K entries of a target; absent if it has none
-``module``          a module of a user's own in words; absent for an :class:`RBFPolicy`
+``module``          a module of a user's own in words; absent for policies of the package
 ``parameters``      float64 tensors of :class:`RBFPolicy`: ``centres`` (m, D' + K) and
                     ``log_widths`` (F, D' + K) in multiples of ``scale`` (D' + K,), ``weights``
-                    (m, F), ``u_middle`` (F,) and ``u_max`` (F,) in the units of the actions; or
-                    the state of a :class:`ModulePolicy`
+                    (m, F), ``u_middle`` (F,) and ``u_max`` (F,) in the units of the actions;
+                    ``gains`` (F, D') and ``offsets`` (F,) in place of the first three for a
+                    :class:`LinearPolicy`; or the state of a :class:`ModulePolicy`
 ==================  ==============================================================================
 
 A file of version 1 has no names and units of actions and no ``u_middle``: its actions are torques
@@ -34,6 +35,7 @@ from torch import Tensor
 
 from torch_pmil.checks import check_finite_entries
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
@@ -159,11 +161,26 @@ def _network(content: Mapping[str, Any], inputs: int, make: MakeModule | None) -
     return network.requires_grad_(False)
 
 
-def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
+def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy | LinearPolicy:
     """The policy with the given parameters, which sees ``inputs`` features, without gradient.
 
     Raises PolicyFileError where parameters are missing, do not fit, or give no finite action.
     """
+    return (_linear_of if "gains" in parameters else _network_of)(parameters, inputs)
+
+
+def _linear_of(parameters: Mapping[str, Tensor], inputs: int) -> LinearPolicy:
+    (outputs,) = getattr(parameters.get("u_max"), "shape", ()) or (0,)
+    ranges = {"u_max": (outputs,), "u_middle": (outputs,), "scale": (inputs,)}
+    _check_parameters(parameters, {"gains": (outputs, inputs), "offsets": (outputs,), **ranges})
+    if not (inputs and outputs):
+        raise PolicyFileError(f"a policy must have inputs and actions, got {inputs} and {outputs}")
+    policy = LinearPolicy(*(parameters[name] for name in ("scale", "u_max", "u_middle")))
+    policy.load_state_dict(parameters)
+    return policy.requires_grad_(False)
+
+
+def _network_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
         "centres": (m, inputs),
@@ -173,12 +190,7 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
         "u_middle": (outputs,),
         "scale": (inputs,),
     }
-    if parameters.keys() != shapes.keys():
-        raise PolicyFileError(
-            f"parameters must be {', '.join(shapes)}, got {_listed(parameters) or 'none'}"
-        )
-    for name, shape in shapes.items():
-        _check_parameter(name, parameters[name], shape)
+    _check_parameters(parameters, shapes)
     if not (m and inputs and outputs):
         raise PolicyFileError(
             f"a policy must have centres, inputs and actions, got {m}, {inputs} and {outputs}"
@@ -258,6 +270,17 @@ def _check_entries(content: dict) -> None:
     if not isinstance(parameters, dict):
         found = type(parameters).__name__
         raise PolicyFileError(f"entry parameters must be a dict of tensors, got {found}")
+
+
+def _check_parameters(
+    parameters: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    if parameters.keys() != shapes.keys():
+        raise PolicyFileError(
+            f"parameters must be {', '.join(shapes)}, got {_listed(parameters) or 'none'}"
+        )
+    for name, shape in shapes.items():
+        _check_parameter(name, parameters[name], shape)
 
 
 def _check_parameter(

@@ -18,11 +18,10 @@ import torch
 from torch import Tensor, nn
 
 from torch_pmil.checks import check_positive, check_tensor
-from torch_pmil.control.policy import PolicyNetwork
+from torch_pmil.control.policy import PolicyNetwork, SquashedController
 from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.gp.trigonometry import squash
+from torch_pmil.gp.moment_matching import exact_moments, moment_match
 
 # bound of the sine when Eq. 27 is inverted, since its slope at 1 is zero
 MAX_SINE = 0.999
@@ -76,7 +75,7 @@ class RBFPolicy(PolicyNetwork):
             lengthscales=self.log_widths.exp() * self.scale,
             signal_variance=torch.ones_like(self.u_max),
         )
-        return Controller(network, self.u_max, self.u_middle)
+        return Controller(network, *self.limits)
 
     def forward(self, features: Tensor) -> Tensor:
         """Action (*batch, F) at finite features of the state (*batch, D')."""
@@ -102,8 +101,7 @@ class RBFPolicy(PolicyNetwork):
         check_tensor("actions", actions, (len(features), len(self.u_max)))
         check_positive("ridge", ridge)
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
-        sines = ((actions - self.u_middle) / self.u_max).clamp(-MAX_SINE, MAX_SINE)
-        raw = torch.asin(sines).mT[..., None]  # (F, S, 1)
+        raw = sines_of(actions, *self.limits).mT[..., None]  # (F, S, 1)
         weights = self.weights.mT[..., None]
         gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
         factor = torch.linalg.cholesky(gram)
@@ -130,6 +128,11 @@ class RBFPolicy(PolicyNetwork):
         return policy
 
 
+def sines_of(actions: Tensor, u_max: Tensor, u_middle: Tensor) -> Tensor:
+    """What is squashed to these actions (*batch, F): the inverse of Eq. 27, rad."""
+    return torch.asin(((actions - u_middle) / u_max).clamp(-MAX_SINE, MAX_SINE))
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyAtTargets:
     """A policy whose last K inputs are a target, at N targets (Eq. 31).
@@ -149,31 +152,26 @@ class PolicyAtTargets:
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class Controller(SquashedController):
     """An RBF network, and the range to which its output is squashed (Eq. 27)."""
 
     network: KernelExpansion
     u_max: Tensor
     u_middle: Tensor
 
-    def __call__(self, features: Tensor) -> Tensor:
-        """Action (*batch, F) at features of the state (*batch, D')."""
-        return self.u_middle + self.u_max * self.network.mean(features).sin()
-
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
         """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network."""
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
-    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact belief over the action at one over the features.
+    def raw(self, features: Tensor) -> Tensor:
+        """Output of the network."""
+        return self.network.mean(features)
 
-        The second result is Sigma^-1 cov(features, action), (*batch, D', F).
-        """
-        return self.squashed(moment_match(self.network, features))
+    def raw_moments(self, features: Gaussian) -> Moments:
+        """Its moments (Eqs. 25 and 26)."""
+        return moment_match(self.network, features)
 
-    def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
-        """:meth:`on_belief` from the moments of the network."""
-        action, slope = squash(raw.gaussian, self.u_max)
-        action = Gaussian(self.u_middle + action.mean, action.cov)
-        return action, raw.inv_cov_cross_cov * slope[..., None, :]
+    def unchecked_moments(self, features: Gaussian) -> Moments:
+        """The same at N beliefs, with no check but that of Cholesky factors."""
+        return exact_moments(self.network, features)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.policy import Act, Policy
+from torch_pmil.control.policy import Act, Policy, SquashedController
 from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import (
@@ -37,7 +37,7 @@ class PredictionError(RuntimeError):
 
 def predict_step(
     state: Gaussian,
-    controller: Controller,
+    controller: SquashedController,
     dynamics: GPDynamics,
     space: StateSpace,
     observation_noise: bool = True,
@@ -142,9 +142,9 @@ def predict_trajectory(
         raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
     check_whole("horizon", horizon, 1)
     start, controller = initial.flattened, policy.controller
-    if not (isinstance(controller, Controller) and isinstance(dynamics, GPDynamics)):
+    if not (isinstance(controller, SquashedController) and isinstance(dynamics, GPDynamics)):
         raise TypeError(
-            "moments are known of an RBFPolicy and a GPDynamics alone, got "
+            "moments are known of an RBFPolicy or LinearPolicy and a GPDynamics alone, got "
             f"{type(policy).__name__} and {type(dynamics).__name__}: predict by SampledPrediction()"
         )
     given = controller, dynamics, space, horizon, observation_noise
@@ -158,7 +158,7 @@ def predict_trajectory(
 
 def _trajectory(
     state: Gaussian,
-    controller: Controller,
+    controller: SquashedController,
     dynamics: GPDynamics,
     space: StateSpace,
     horizon: int,
@@ -167,13 +167,13 @@ def _trajectory(
     """:func:`predict_trajectory` from N beliefs by the formulas in PyTorch."""
     states = []
     state = Gaussian(state.mean, symmetric(state.cov))
-    network, model = controller.network, dynamics.expansion
+    model = dynamics.expansion
     known = dynamics.known_part(space)
     for step in range(1, horizon + 1):
         try:
             state = _propagate(
                 state,
-                lambda features: controller.squashed(exact_moments(network, features)),
+                lambda features: controller.squashed(controller.unchecked_moments(features)),
                 lambda inputs: exact_moments(model, inputs, observation_noise),
                 known,
                 space,

@@ -23,7 +23,7 @@ from torch_pmil.gp.lbfgs import (
     set_to,
 )
 from torch_pmil.model.rollout import PredictionError
-from torch_pmil.search.reparameterisation import ReparameterisedLoss
+from torch_pmil.search.reparameterisation import reparameterised
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.settings import Settings, setting
 
@@ -200,18 +200,18 @@ class SearchRuns:
         self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int
     ) -> None:
         """Minimise the sum of the steps up to a horizon by one run of the optimiser."""
-        reparameterised = ReparameterisedLoss(self.loss)
-        variables = reparameterised.variables
+        searched = reparameterised(self.loss)
+        variables = searched.variables
         best, result = minimise_function(
             in_one_vector(variables),
-            reparameterised.as_function(per_step, self.initial, horizon),
+            searched.as_function(per_step, self.initial, horizon),
             iterations,
             survives=(PredictionError, NotPositiveDefiniteError),
             optimizer=self.optimizer,
         )
         set_to(variables, best)
         self.runs.append(result)
-        reparameterised.write()
+        searched.write()
         self.report(f"{name} {horizon}/{self.loss.horizon}", result.loss)
 
     def stage(self, horizon: int) -> bool:

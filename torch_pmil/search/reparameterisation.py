@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import differentiated, in_one_vector
@@ -15,6 +16,29 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 NOISE_VARIANCE = 0.1  # noise variance of the values; the basis functions are at most 1
 WEIGHTS = "loss.actor_network.weights"
+
+
+class LinearPolicyLoss:
+    """A loss as a function of the parameters of its linear policy, which are easy to search."""
+
+    def __init__(self, loss: TrajectoryLoss) -> None:
+        self.variables = list(loss.actor_network.parameters())
+
+    def as_function(
+        self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
+    ) -> Callable[[Tensor], tuple[float, Tensor]]:
+        """Sum of one of the loss's methods, and its gradient, at all variables in one vector."""
+        return differentiated(self.variables, lambda: per_step(initial, horizon).sum())
+
+    def write(self) -> None:
+        """Nothing to do: the variables are the parameters."""
+
+
+def reparameterised(loss: TrajectoryLoss) -> LinearPolicyLoss | ReparameterisedLoss:
+    """The loss in variables in which its policy is easy to search."""
+    if isinstance(loss.actor_network, LinearPolicy):
+        return LinearPolicyLoss(loss)
+    return ReparameterisedLoss(loss)
 
 
 class ReparameterisedLoss(nn.Module):
@@ -44,8 +68,8 @@ class ReparameterisedLoss(nn.Module):
         policy = loss.actor_network
         if not isinstance(policy, RBFPolicy):
             raise TypeError(
-                f"search_policy needs an RBFPolicy, got {type(policy).__name__}, which is searched "
-                "by search_on_samples"
+                f"search_policy needs an RBFPolicy or a LinearPolicy, got {type(policy).__name__}, "
+                "which is searched by search_on_samples"
             )
         self.loss, self._policy = loss, (policy,)  # once among the modules
         with torch.no_grad():

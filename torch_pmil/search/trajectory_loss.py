@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torch_pmil.checks import check_whole
+from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.policy import Policy
 from torch_pmil.control.rbf_policy import RBFPolicy
@@ -130,7 +131,7 @@ class TrajectoryLoss(LossModule):
     def has_moments(self) -> bool:
         """Whether the marginals of policy and model are known in closed form."""
         of_model = isinstance(self.dynamics, GPDynamics)
-        return of_model and isinstance(self.actor_network, RBFPolicy)
+        return of_model and isinstance(self.actor_network, RBFPolicy | LinearPolicy)
 
     @property
     def functional(self) -> bool:

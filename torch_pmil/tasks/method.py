@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.exploration import PDMovements
-from torch_pmil.control.module_policy import MakeModule
+from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import LARGEST
@@ -115,8 +115,9 @@ class Method(Settings):
     """How a task is learned: the settings of each part of the method.
 
     ``optimizer`` is that of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
-    ``make_module`` makes a module of a user's own from the numbers of features and of actions, in
-    place of the RBF network, and ``own_model`` is a forward model of a user's own
+    ``make_policy`` makes a module of a user's own from the numbers of features and of actions, in
+    place of the RBF network, or is :class:`~torch_pmil.control.linear_policy.LinearPolicy`.
+    ``own_model`` is a forward model of a user's own
     (:class:`~torch_pmil.model.own_dynamics.OwnDynamics`), in place of the GPs.
 
     Example:
@@ -130,7 +131,7 @@ class Method(Settings):
     search: SearchSettings = field(default_factory=SearchSettings)
     ending: EndingSettings = field(default_factory=EndingSettings)
     optimizer: MakeOptimizer = torch.optim.LBFGS
-    make_module: MakeModule | None = None
+    make_policy: MakePolicy | None = None
     own_model: Any = None
 
 

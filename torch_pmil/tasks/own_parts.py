@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from torch import nn
 
-from torch_pmil.control.module_policy import MakeModule
+from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.own_dynamics import check_own_model
 from torch_pmil.tasks.task import Task
@@ -15,7 +15,7 @@ from torch_pmil.tasks.task import Task
 T = TypeVar("T", bound=Task)
 
 
-def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakeModule | None, model: Any) -> T:
+def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakePolicy | None, model: Any) -> T:
     """The same task with parts of the method that are a user's own, where they are not None.
 
     Raises TypeError if one is of another kind.
@@ -32,7 +32,7 @@ def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakeModule | None
                 "policy must make a torch.nn.Module from the numbers of features and actions, as "
                 f"torch.nn.Linear does, got {type(policy).__name__}"
             )
-        parts["make_module"] = policy
+        parts["make_policy"] = policy
     if model is not None:
         check_own_model(model)
         parts["own_model"] = model

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.module_policy import MakeModule
+from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
@@ -66,7 +66,7 @@ def own_robot(
     past: Literal["auto"] | None = "auto",
     steps_per_action: int | None = None,
     optimizer: MakeOptimizer | None = None,
-    policy: MakeModule | None = None,
+    policy: MakePolicy | None = None,
     model: Any = None,
     cost: Cost | CostFunction | None = None,
     imitation_weight: float | None = None,
@@ -121,7 +121,8 @@ def own_robot(
             (:func:`~torch_pmil.gp.lbfgs.minimise`); ``torch.optim.LBFGS`` if None.
         policy: makes a policy of your own, a ``torch.nn.Module`` from features to actions, from
             their numbers, as ``torch.nn.Linear`` does
-            (:class:`~torch_pmil.control.module_policy.ModulePolicy`); an RBF network if None.
+            (:class:`~torch_pmil.control.module_policy.ModulePolicy`); or
+            :class:`~torch_pmil.control.linear_policy.LinearPolicy` itself; an RBF network if None.
         model: a forward model of your own, with ``fit`` and ``sample`` or ``moments``
             (:class:`~torch_pmil.model.own_dynamics.OwnDynamics`); GPs if None.
         cost: what is minimised beside the distance from the demonstrations, once the robot imitates

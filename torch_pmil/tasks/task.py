@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Self
+from typing import Self, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -14,7 +14,8 @@ from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.module_policy import AnyPolicy, ModulePolicy
+from torch_pmil.control.linear_policy import LinearPolicy
+from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
@@ -231,7 +232,9 @@ class Task(Settings):
     def _own_parts(self) -> dict[str, object]:
         """Policy and model of a user's own, as a run's settings hold them."""
         method, parts = self.method, dict[str, object]()
-        if method.make_module is not None:
+        if method.make_policy is LinearPolicy:
+            parts["policy"] = LinearPolicy.__name__
+        elif method.make_policy is not None:
             ones = torch.ones(len(self.space.feature_names), dtype=torch.float64)
             parts["policy"] = str(self._own_policy(ones, 0).module)
         if method.own_model is not None:
@@ -324,12 +327,14 @@ class Task(Settings):
         return self.policy_near(self.demonstrated_inputs, generator)
 
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> AnyPolicy:
-        """A new policy for inputs (S, D'): an RBF network, or a module of a user's own.
+        """A new policy for inputs (S, D'): an RBF network, or one of another kind.
 
         With ``holding_actions`` it holds the robot at the start.
         """
-        if self.method.make_module is None:
+        if self.method.make_policy is None:
             policy: AnyPolicy = self._network_near(inputs, generator)
+        elif self.method.make_policy is LinearPolicy:
+            policy = self._linear_policy(self._spread(inputs), generator)
         else:
             policy = self._own_policy(self._spread(inputs), draw_seed(generator))
         if self.holding_actions is not None:
@@ -339,10 +344,16 @@ class Task(Settings):
             policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
         return policy
 
+    def _linear_policy(self, scale: Tensor, generator: torch.Generator) -> LinearPolicy:
+        """A new linear policy with small random gains."""
+        policy = LinearPolicy(scale, self.actions.half_range, self.actions.middle)
+        white = torch.randn(policy.gains.shape, dtype=torch.float64, generator=generator)
+        policy.gains.data.copy_(self.method.policy.initial_weight_std * white)
+        return policy
+
     def _own_policy(self, scale: Tensor, seed: int) -> ModulePolicy:
         """A new policy by a module of a user's own, made under a seed of PyTorch's generator."""
-        actions, make = self.actions, self.method.make_module
-        assert make is not None
+        actions, make = self.actions, cast(MakeModule, self.method.make_policy)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             module = make(len(scale), len(actions.names))

@@ -5,13 +5,14 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.torchrl_interop import keys
 
 
 class BeliefPolicy(TensorDictModuleBase):
-    r"""An :class:`RBFPolicy` on beliefs, with exact moments (Eqs. 25-27), or on plain observations.
+    r"""An RBF or linear policy on beliefs, with exact moments, or on plain observations.
 
     From ``("observation", "mean")`` (*batch, D) and ``"var"`` (*batch, D, D) it writes ``("action",
     "mean")`` (*batch, F), ``"var"`` (*batch, F, F) and ``"cross_covariance"``, :math:`\Sigma_x^{-1}
@@ -39,9 +40,9 @@ class BeliefPolicy(TensorDictModuleBase):
         torch.Size([1])
     """
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace | None = None) -> None:
+    def __init__(self, policy: RBFPolicy | LinearPolicy, space: StateSpace | None = None) -> None:
         super().__init__()
-        inputs = policy.centres.shape[-1]
+        inputs = policy.num_inputs
         self.policy, self.space = policy, keys.raw_space(inputs) if space is None else space
         if len(self.space.feature_names) != inputs:
             raise ValueError(

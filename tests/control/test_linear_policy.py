@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
@@ -18,6 +19,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.reparameterisation import reparameterised
+from torch_pmil.torchrl_interop import BeliefPolicy
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))  # three features
@@ -58,6 +60,15 @@ def test_moments_are_those_of_samples_within_their_standard_errors(
         products = first[:, :, None] * (u - action.mean)[:, None]
         error = products.std(0) / SAMPLES**0.5
         assert ((products.mean(0) - moments).abs() < 5 * error).all()
+
+
+def test_module_of_torchrl_writes_the_same_belief(policy: LinearPolicy, draws: Draws) -> None:
+    belief = Gaussian(draws.normal(2), 0.1 * torch.eye(2).double())
+    entries = {"observation": {"mean": belief.mean, "var": belief.cov}}
+    written = BeliefPolicy(policy, SPACE)(TensorDict(entries))
+    action, _ = policy.controller.on_belief(SPACE.feature_moments(belief)[0])
+    assert_close(written["action", "mean"], action.mean)
+    assert_close(written["action", "var"], action.cov)
 
 
 def test_search_knows_value_and_gradient_of_the_predicted_trajectory(
@@ -109,6 +120,13 @@ def test_file_with_other_parameters_is_refused(policy: LinearPolicy, tmp_path: P
     content["parameters"]["gains"] = torch.zeros(2, 4, dtype=torch.float64)
     torch.save(content, path)
     with pytest.raises(PolicyFileError, match=r"gains must have shape \(2, 3\), got \(2, 4\)"):
+        load_policy(path)
+    content["parameters"] |= {
+        "gains": torch.full((2, 3), 1e308, dtype=torch.float64),
+        "scale": torch.full((3,), 0.1, dtype=torch.float64),
+    }
+    torch.save(content, path)
+    with pytest.raises(PolicyFileError, match="gains / scale must be finite"):
         load_policy(path)
     del content["parameters"]["offsets"]
     torch.save(content, path)

@@ -13,7 +13,14 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torch_pmil import DemonstrationError, Demonstrations, Gaussian, MatchSpace, Task
+from torch_pmil import (
+    DemonstrationError,
+    Demonstrations,
+    Gaussian,
+    LinearPolicy,
+    MatchSpace,
+    Task,
+)
 from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
@@ -97,6 +104,15 @@ def test_what_is_said_is_kept() -> None:
     assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
     assert made.method.policy.num_centres == 7 and made.name == "mine"
     assert made.space.feature_names == ("dq", "sin q", "cos q")
+
+
+def test_linear_policy_is_searched_in_place_of_the_network() -> None:
+    made = task(policy=LinearPolicy, initial_weight_std=0.2)
+    policy = made.make_policy(torch.Generator().manual_seed(0))
+    assert isinstance(policy, LinearPolicy) and made.settings["policy"] == "LinearPolicy"
+    assert (policy.u_max.item(), policy.u_middle.item()) == (3.0, -1.0)
+    assert 0 < policy.gains.abs().max() < 1  # 5 standard deviations
+    assert made.make_loss(policy, made.make_dynamics()).has_moments
 
 
 def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -170,13 +170,16 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy | Line
 
 
 def _linear_of(parameters: Mapping[str, Tensor], inputs: int) -> LinearPolicy:
-    (outputs,) = getattr(parameters.get("u_max"), "shape", ()) or (0,)
+    outputs = (*getattr(parameters.get("gains"), "shape", ()), 0)[0]
     ranges = {"u_max": (outputs,), "u_middle": (outputs,), "scale": (inputs,)}
     _check_parameters(parameters, {"gains": (outputs, inputs), "offsets": (outputs,), **ranges})
     if not (inputs and outputs):
         raise PolicyFileError(f"a policy must have inputs and actions, got {inputs} and {outputs}")
     policy = LinearPolicy(*(parameters[name] for name in ("scale", "u_max", "u_middle")))
     policy.load_state_dict(parameters)
+    check_finite_entries(
+        "gains / scale", policy.controller.gains, lambda message, _: PolicyFileError(message)
+    )
     return policy.requires_grad_(False)
 
 

@@ -13,7 +13,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import MAX_SINE, RBFPolicy
+from torch_pmil.control.policy import before_squashing
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics
@@ -54,7 +55,7 @@ def clone_behavior(
     """
     _check_pairs(states, torques, space, u_max)
     features = space.features(states.double())
-    targets = torch.asin((torques / u_max).double().clamp(-MAX_SINE, MAX_SINE))
+    targets = before_squashing((torques / u_max).double())
     gp = GPDynamics(features.shape[-1], len(u_max))
     gp.fit(features, targets)
     policy = RBFPolicy(features, u_max, torch.ones(features.shape[-1]))

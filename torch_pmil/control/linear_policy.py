@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive, check_tensor
-from torch_pmil.control.policy import PolicyNetwork, SquashedController
-from torch_pmil.control.rbf_policy import sines_of
+from torch_pmil.control.policy import SquashedController, SquashedPolicy, ridge_change
 from torch_pmil.gp.gaussian import Gaussian, Moments
 
 
-class LinearPolicy(PolicyNetwork):
+class LinearPolicy(SquashedPolicy):
     r"""Linear feedback whose output is squashed to the range of the actions (Eq. 27).
 
     .. math:: \pi(x) = \bar u + u_{\max} \sin(A\,(x / s) + b)
@@ -52,28 +50,10 @@ class LinearPolicy(PolicyNetwork):
         """The policy at its present parameters, with their graph; build it once for a rollout."""
         return LinearController(self.gains / self.scale, self.offsets, *self.limits)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Action (*batch, F) at finite features of the state (*batch, D')."""
-        check_tensor("features", features, ("*batch", len(self.scale)))
-        return self.controller(features.double())
-
-    @torch.no_grad()
-    def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
-        """Fit the parameters to given actions by ridge regression around the present ones.
-
-        Args:
-            features: (S, D').
-            actions: (S, F), in their units, within their range.
-            ridge: positive penalty of a change of the parameters, beside actions in rad.
-        """
-        check_tensor("features", features, ("S", len(self.scale)))
-        check_tensor("actions", actions, (len(features), len(self.u_max)))
-        check_positive("ridge", ridge)
-        inputs = torch.nn.functional.pad(features.double() / self.scale, (0, 1), value=1.0)
-        before = torch.cat([self.gains, self.offsets[:, None]], -1)
-        missing = sines_of(actions, *self.limits) - inputs @ before.mT
-        normal = inputs.mT @ inputs + ridge * torch.eye(inputs.shape[-1]).to(inputs)
-        change = torch.linalg.solve(normal, inputs.mT @ missing).mT
+    def _fit(self, features: Tensor, raw: Tensor, ridge: float) -> None:
+        basis = torch.nn.functional.pad(features / self.scale, (0, 1), value=1.0)  # (S, D' + 1)
+        weights = torch.cat([self.gains, self.offsets[:, None]], -1).mT
+        change = ridge_change(basis, raw - basis @ weights, ridge).mT
         self.gains.add_(change[:, :-1])
         self.offsets.add_(change[:, -1])
 

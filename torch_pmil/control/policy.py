@@ -9,10 +9,12 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive_entries, check_tensor
+from torch_pmil.checks import check_positive, check_positive_entries, check_tensor
 from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.trigonometry import squash
 
+# bound of the sine when Eq. 27 is inverted, since its slope at 1 is zero
+MAX_SINE = 0.999
 Act = Callable[[Tensor], Tensor]  # actions (*batch, F) at features of the state (*batch, D')
 
 
@@ -97,11 +99,64 @@ class PolicyNetwork(nn.Module):
         self.register_buffer("scale", scale.double())
 
     @property
+    def num_inputs(self) -> int:
+        """Number D' of features that it sees, and of a target's entries."""
+        return len(self.scale)
+
+
+class SquashedPolicy(PolicyNetwork):
+    """Base class of policies that are squashed by a sine, with moments in closed form."""
+
+    @property
+    @abstractmethod
+    def controller(self) -> SquashedController:
+        """The policy at its present parameters, with their graph; build it once for a rollout."""
+
+    @abstractmethod
+    def _fit(self, features: Tensor, raw: Tensor, ridge: float) -> None:
+        """Fit the parameters to outputs before the squashing (S, F) at features (S, D')."""
+
+    @property
     def limits(self) -> tuple[Tensor, Tensor]:
         """Largest distances (F,) from the middles (F,), and the middles."""
         return self.u_max, self.u_middle
 
-    @property
-    def num_inputs(self) -> int:
-        """Number D' of features that it sees, and of a target's entries."""
-        return len(self.scale)
+    def forward(self, features: Tensor) -> Tensor:
+        """Action (*batch, F) at finite features of the state (*batch, D')."""
+        check_tensor("features", features, ("*batch", self.num_inputs))
+        return self.controller(features.double())
+
+    @torch.no_grad()
+    def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
+        """Fit the parameters to given actions by ridge regression around the present ones.
+
+        An RBF network keeps its centres and widths (Eq. 25).
+
+        Args:
+            features: (S, D').
+            actions: (S, F), in their units, within their range.
+            ridge: positive penalty of a change of the parameters, beside actions in rad.
+
+        Example:
+            >>> from torch_pmil import RBFPolicy
+            >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
+            >>> policy.fit_weights(torch.zeros(1, 1), torch.full((1, 1), 0.5), ridge=1e-9)
+            >>> round(policy(torch.zeros(1)).item(), 6)
+            0.5
+        """
+        check_tensor("features", features, ("S", self.num_inputs))
+        check_tensor("actions", actions, (len(features), len(self.u_max)))
+        check_positive("ridge", ridge)
+        raw = before_squashing((actions - self.u_middle) / self.u_max)
+        self._fit(features.double(), raw, ridge)
+
+
+def before_squashing(sines: Tensor) -> Tensor:
+    """What is squashed to actions (*batch, F) in units of ``u_max``: the inverse of Eq. 27, rad."""
+    return sines.clamp(-MAX_SINE, MAX_SINE).asin()
+
+
+def ridge_change(basis: Tensor, missing: Tensor, ridge: float) -> Tensor:
+    """Change of weights (*batch, m, F) that explains (*batch, S, F) by a basis (*batch, S, m)."""
+    gram = basis.mT @ basis + ridge * torch.eye(basis.shape[-1]).to(basis)
+    return torch.cholesky_solve(basis.mT @ missing, torch.linalg.cholesky(gram))

@@ -17,17 +17,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive, check_tensor
-from torch_pmil.control.policy import PolicyNetwork, SquashedController
+from torch_pmil.checks import check_tensor
+from torch_pmil.control.policy import SquashedController, SquashedPolicy, ridge_change
 from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import exact_moments, moment_match
 
-# bound of the sine when Eq. 27 is inverted, since its slope at 1 is zero
-MAX_SINE = 0.999
 
-
-class RBFPolicy(PolicyNetwork):
+class RBFPolicy(SquashedPolicy):
     r"""RBF network whose output is squashed to the range of the actions (Eqs. 25-27).
 
     .. math:: \pi(x) = \bar u + u_{\max} \sin\left(
@@ -77,35 +74,10 @@ class RBFPolicy(PolicyNetwork):
         )
         return Controller(network, *self.limits)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Action (*batch, F) at finite features of the state (*batch, D')."""
-        check_tensor("features", features, ("*batch", len(self.scale)))
-        return self.controller(features.double())
-
-    @torch.no_grad()
-    def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
-        """Fit the weights to given actions by ridge regression around the present weights (Eq. 25).
-
-        Args:
-            features: (S, D').
-            actions: (S, F), in their units, within their range.
-            ridge: positive penalty of a change of the weights, beside actions in rad.
-
-        Example:
-            >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
-            >>> policy.fit_weights(torch.zeros(1, 1), torch.full((1, 1), 0.5), ridge=1e-9)
-            >>> round(policy(torch.zeros(1)).item(), 6)
-            0.5
-        """
-        check_tensor("features", features, ("S", len(self.scale)))
-        check_tensor("actions", actions, (len(features), len(self.u_max)))
-        check_positive("ridge", ridge)
-        basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
-        raw = sines_of(actions, *self.limits).mT[..., None]  # (F, S, 1)
-        weights = self.weights.mT[..., None]
-        gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
-        factor = torch.linalg.cholesky(gram)
-        change = torch.cholesky_solve(basis.mT @ (raw - basis @ weights), factor)
+    def _fit(self, features: Tensor, raw: Tensor, ridge: float) -> None:
+        basis = self.controller.network.kernel(features).transpose(0, 1)  # (F, S, m)
+        weights = self.weights.mT[..., None]  # (F, m, 1)
+        change = ridge_change(basis, raw.mT[..., None] - basis @ weights, ridge)
         self.weights.copy_((weights + change)[..., 0].mT)
 
     @torch.no_grad()
@@ -126,11 +98,6 @@ class RBFPolicy(PolicyNetwork):
         policy.weights.copy_(network.weights[0].mT)
         policy.log_widths.copy_(self.log_widths[:, :D])
         return policy
-
-
-def sines_of(actions: Tensor, u_max: Tensor, u_middle: Tensor) -> Tensor:
-    """What is squashed to these actions (*batch, F): the inverse of Eq. 27, rad."""
-    return torch.asin(((actions - u_middle) / u_max).clamp(-MAX_SINE, MAX_SINE))
 
 
 @dataclass(frozen=True, eq=False)

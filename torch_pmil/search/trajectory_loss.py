@@ -16,9 +16,8 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.linear_policy import LinearPolicy
 from torch_pmil.control.module_policy import AnyPolicy
-from torch_pmil.control.policy import Policy
+from torch_pmil.control.policy import Policy, SquashedPolicy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
@@ -131,7 +130,7 @@ class TrajectoryLoss(LossModule):
     def has_moments(self) -> bool:
         """Whether the marginals of policy and model are known in closed form."""
         of_model = isinstance(self.dynamics, GPDynamics)
-        return of_model and isinstance(self.actor_network, RBFPolicy | LinearPolicy)
+        return of_model and isinstance(self.actor_network, SquashedPolicy)
 
     @property
     def functional(self) -> bool:

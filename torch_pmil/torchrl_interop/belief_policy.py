@@ -5,8 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from torch_pmil.control.linear_policy import LinearPolicy
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.policy import SquashedPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.torchrl_interop import keys
 
@@ -31,6 +30,7 @@ class BeliefPolicy(TensorDictModuleBase):
     Example:
         >>> import torch
         >>> from tensordict import TensorDict
+        >>> from torch_pmil import RBFPolicy
         >>> network = RBFPolicy(torch.zeros(10, 4), torch.tensor([3.0]), scale=torch.ones(4))
         >>> policy = BeliefPolicy(network)
         >>> belief = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
@@ -40,7 +40,7 @@ class BeliefPolicy(TensorDictModuleBase):
         torch.Size([1])
     """
 
-    def __init__(self, policy: RBFPolicy | LinearPolicy, space: StateSpace | None = None) -> None:
+    def __init__(self, policy: SquashedPolicy, space: StateSpace | None = None) -> None:
         super().__init__()
         inputs = policy.num_inputs
         self.policy, self.space = policy, keys.raw_space(inputs) if space is None else space

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
+import signal
 import statistics
 import sys
 import time
@@ -36,6 +38,7 @@ from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
+OUT_OF_TIME = "out of time"
 CHANGED = "-dirty"  # ends the commit of sources with changes that are not committed
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
@@ -65,6 +68,7 @@ def main() -> None:
         default="",
         help=f"by commas, of {', '.join(VARIATIONS)}; none by default",
     )
+    parser.add_argument("--patience", type=int, help="CPU seconds after which a run is stopped")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "strangers")
     arguments = parser.parse_args()
@@ -77,11 +81,14 @@ def main() -> None:
         parser.error(f"--variations must be of {', '.join(VARIATIONS)}, got {', '.join(unknown)}")
     if arguments.alone:
         torch.set_num_threads(1)
+        if arguments.patience:
+            _stop_after(arguments.patience)
         print(json.dumps(learned(names[0], known[names[0]], seeds[0], variations[0])))
         return
     runs = [(each, name, seed) for each in variations for seed in seeds for name in names]
     with ThreadPoolExecutor(JOBS) as pool:
-        rows = list(pool.map(partial(_in_own_process, arguments.robots), *zip(*runs, strict=True)))
+        alone = partial(_in_own_process, arguments.robots, arguments.patience)
+        rows = list(pool.map(alone, *zip(*runs, strict=True)))
     of_each = {each: [row for row in rows if row["variation"] == each] for each in variations}
     headlines = {each: headline(found) for each, found in of_each.items()}
     write_json(
@@ -124,8 +131,14 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     commit = str(provenance("")["commit"])
     out = OUT / commit / _label(name, variation) / f"seed_{seed}"
     changed = commit.endswith(CHANGED)
-    learner.learn(seed=seed, out=out, resume=not changed, overwrite=changed)
-    summary = learner.result.summary
+    end = None
+    try:
+        learner.learn(seed=seed, out=out, resume=not changed, overwrite=changed)
+    except OutOfTime:
+        end = OUT_OF_TIME
+        finished = len((out / "metrics.csv").read_text().splitlines()) - 1
+        learner.learn(trials=finished, seed=seed, out=out, resume=True)
+    cpu_s, summary = time.process_time() - begun, learner.result.summary
     return {
         "robot": name,
         "seed": seed,
@@ -135,13 +148,30 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
         "trials": len(summary["trials"]),
         "step_s": learner.policy.control_period,
         "past": learner.task.history.past_actions if learner.task.history else 0,
-        "end": summary["stop_reason"],
+        "end": end or summary["stop_reason"],
         "diagnosis": [reason["cause"] for reason in summary["diagnosis"]],
-        "cpu_s": round(time.process_time() - begun, 1),
+        "cpu_s": round(cpu_s, 1),
     }
 
 
-def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> dict[str, Any]:
+class OutOfTime(BaseException):
+    """A run has used the CPU seconds that it was given."""
+
+
+def _stop_after(cpu_seconds: int) -> None:
+    """Raise OutOfTime in this process after these CPU seconds, once."""
+
+    def stop(*_: object) -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY,) * 2)
+        raise OutOfTime
+
+    signal.signal(signal.SIGXCPU, stop)
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, resource.RLIM_INFINITY))
+
+
+def _in_own_process(
+    path: Path | None, patience: int | None, variation: str, name: str, seed: int
+) -> dict[str, Any]:
     """The row of a run in a process of its own, unless there is one of the same sources."""
     commit = provenance("")["commit"]
     kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
@@ -149,6 +179,7 @@ def _in_own_process(path: Path | None, variation: str, name: str, seed: int) -> 
     if known and (row := json.loads(kept.read_text()))["commit"] == commit:
         return row
     given = ["--robots", str(path)] if path else []
+    given += ["--patience", str(patience)] if patience else []
     words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variations", variation]
     row = {**row_of_own_process("strangers", *words), "commit": commit}
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -166,7 +197,7 @@ def headline(rows: list[dict[str, Any]]) -> dict[str, float]:
     return {
         "runs": len(rows),
         "at_95": sum(row["success"] >= LEARNED for row in rows),
-        "ended": sum(row["end"] != LIMIT for row in rows),
+        "ended": sum(row["end"] not in (LIMIT, OUT_OF_TIME) for row in rows),
         "median_experience_s": statistics.median(row["experience_s"] for row in rows),
         "max_cpu_seconds": max(row["cpu_s"] for row in rows),
     }

@@ -12,26 +12,25 @@ import torch
 
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from reproduction.soak.comparison import paired
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.module_policy import AnyPolicy
-from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.forward_model import ForwardModel, Targets
-from torch_pmil.model.particles import ParticlePrediction
-from torch_pmil.model.rollout import predict_trajectory
-from torch_pmil.runs.summaries import read_summary
-from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.trajectory_loss import Prediction
+from torch_pmil.runs.summaries import read_summary, success_over_experience
 from torch_pmil.tasks.cost_task import random_states
+from torch_pmil.tasks.method import BY_MATCH, SURE
 from torch_pmil.tasks.pilco import VELOCITY_STD
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
-SEEDS, TRIALS = range(3), 10
+SEEDS, TRIALS = range(10), 8
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
-PARTICLES = 100
+SOON = 10.0, 12.5  # s of experience
 AT_ONCE = 2  # times the iterations that each horizon has, where there is only one
 MEAN_COST = 12  # an evaluation of the mean alone costs a twelfth of one of the loss, or less
 LABELS = {
     "ours": "ours",
+    "no_samples": "no search on samples",
+    "matched": "horizon by match, no samples",
     "no_growing_horizon": "whole horizon at once",
     "no_mean_start": "no runs on the mean",
     "random_centres": "random centres",
@@ -39,7 +38,8 @@ LABELS = {
     "noise_0.1m": "noise floor 0.1 m",
     "plain_angles": "plain angles",
     "successors": "successors as targets",
-    "particles": f"{PARTICLES} particles",
+    "velocities_alone": "velocities alone",
+    "tied_lengthscales": "tied lengthscales",
 }
 
 
@@ -48,44 +48,26 @@ class Variation(Task):
     """A task with choices made otherwise that are no settings of an experiment.
 
     Args:
-        targets: what the model learns.
-        prediction: how the loss predicts.
+        successors: whether the model learns the next states, and not the changes of the state.
         random_centres: whether the policy's centres are all over the state space, and not near
             demonstrated states.
     """
 
-    targets: Targets = "difference"
-    prediction: Prediction = predict_trajectory
+    successors: bool = False
     random_centres: bool = False
 
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
-        own: dict[str, object] = {
-            "targets": self.targets,
-            "prediction": "moment matching",
+        return super().settings | {
+            "successors": self.successors,
             "random_centres": self.random_centres,
             "angles": list(self.space.angles),
         }
-        if isinstance(self.prediction, ParticlePrediction):
-            own["prediction"] = vars(self.prediction)
-        return super().settings | own
 
-    def make_dynamics(self) -> GPDynamics:
-        """A forward model of the robot, without data."""
-        inputs = len(self.space.feature_names) + len(self.actions.names)
-        return GPDynamics(inputs, self.space.dim, self.targets)
-
-    def make_loss(self, policy: AnyPolicy, dynamics: ForwardModel) -> TrajectoryKLLoss:
-        """The loss of the policy search: the KL of demonstrated and predicted trajectories."""
-        return TrajectoryKLLoss(
-            policy,
-            dynamics,
-            self.space,
-            self.demonstrated,
-            self.noise_std,
-            prediction=self.prediction,
-        )
+    @property
+    def _known_part(self) -> KnownPart:
+        return KnownPart.of_successors(self.space.dim) if self.successors else super()._known_part
 
     def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy with centres near demonstrated states, or near random ones."""
@@ -107,7 +89,8 @@ def variations() -> dict[str, Variation]:
     """
     task = load_experiment("double_pendulum")
     ours = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)})
-    policy, search = task.method.policy, task.method.search
+    method = task.method
+    policy, search = method.policy, method.search
     at_once = replace(
         search,
         first_horizon=1.0,
@@ -121,18 +104,22 @@ def variations() -> dict[str, Variation]:
     )
     changes: dict[str, dict[str, Any]] = {
         "ours": {},
-        "no_growing_horizon": {"method": replace(task.method, search=at_once)},
-        "no_mean_start": {"method": replace(task.method, search=no_mean_start)},
+        "no_samples": {"method": replace(method, search=SURE)},
+        "matched": {"method": replace(method, search=BY_MATCH)},
+        "no_growing_horizon": {"method": replace(method, search=at_once)},
+        "no_mean_start": {"method": replace(method, search=no_mean_start)},
         "random_centres": {"random_centres": True},
         "noise_0.02m": {"noise_std": 0.02},
         "noise_0.1m": {"noise_std": 0.1},
         "plain_angles": {
             "space": replace(task.space, angles=()),
-            "method": replace(task.method, policy=replace(policy, least_widths=None)),
+            "method": replace(method, policy=replace(policy, least_widths=None)),
         },
-        "successors": {"targets": "successor"},
-        "particles": {"prediction": ParticlePrediction(PARTICLES)},
+        "successors": {"successors": True},
     }
+    for setting in ("velocities_alone", "tied_lengthscales"):
+        model = replace(method.model, **{setting: True})
+        changes[setting] = {"method": replace(method, model=model)}
     return {
         name: replace(ours, name=f"double_pendulum_ablation_{name}", **change)
         for name, change in changes.items()
@@ -150,18 +137,26 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Success of the saved policies, and experience up to the first own rollout that succeeded."""
-    found = results_of_variants(LABELS, "ablation", folders)
-    return replace(found, details={"particles": PARTICLES, **found.details})
+    """Success of the saved policies, and experience up to the first own rollout that succeeded.
+
+    Also the mean success after so few seconds that variations differ (``SOON``).
+    """
+    found, each = results_of_variants(LABELS, "ablation", folders), len(folders) // len(LABELS)
+    soon: dict[str, float | None] = {}
+    for number, variant in enumerate(LABELS):
+        own = folders[number * each : (number + 1) * each]
+        curve = success_over_experience([read_summary(folder) for folder in own])
+        soon |= {f"{variant}_success_{time:g}s": curve.at(time) for time in SOON}
+    return replace(found, headline={**found.headline, **soon})
 
 
 def results_of_variants(labels: Mapping[str, str], name: str, folders: Sequence[Path]) -> Results:
-    """The same of any variants with equally many runs.
+    """The same of any variants with equally many runs, and both less those of the first.
 
     Args:
         labels: of the variants in the figure, by their names.
         name: of the figure.
-        folders: of the runs, variant by variant.
+        folders: of the runs, variant by variant, each with the same seeds.
     """
     outcomes = [success_and_experience(read_summary(folder)) for folder in folders]
     rates, seconds, succeeded = (
@@ -182,8 +177,21 @@ def results_of_variants(labels: Mapping[str, str], name: str, folders: Sequence[
         "variations": list(labels),
         "success": rates.tolist(),
         "first_success_s": seconds.tolist(),
+        "more_success": _less_first(list(labels), rates.tolist()),
+        "more_first_success_s": _less_first(list(labels), seconds.tolist()),
     }
     return Results(headline, {name: figure}, details)
+
+
+def _less_first(
+    labels: Sequence[str], values: Sequence[Sequence[float]]
+) -> dict[str, dict[str, float | None]]:
+    """A quantity of each variant less that of the first, seed by seed, with the intervals."""
+    first, *others = values
+    return {
+        label: paired(list(zip(theirs, first, strict=True)))
+        for label, theirs in zip(labels[1:], others, strict=True)
+    }
 
 
 def success_and_experience(summary: dict) -> tuple[float, float, bool]:

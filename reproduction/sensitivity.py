@@ -7,11 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from reproduction.ablation import results_of_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from reproduction.soak.comparison import paired
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -73,22 +70,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     labels = {label.replace(" ", "_"): label for label in variants()}
     found = results_of_variants(labels, "sensitivity", folders)
     seeds = list(QUICK_SEEDS if quick else SEEDS)
-    more = {
-        f"more_{quantity}": _less_ours(list(labels), np.array(found.details[quantity]).tolist())
-        for quantity in ("success", "first_success_s")
-    }
-    return replace(found, details={**found.details, "seeds": seeds, **more})
-
-
-def _less_ours(
-    labels: Sequence[str], values: Sequence[Sequence[float]]
-) -> dict[str, dict[str, float | None]]:
-    """A quantity of each variant less that of ours, which comes first, with the intervals."""
-    ours, *others = values
-    return {
-        label: paired(list(zip(theirs, ours, strict=True)))
-        for label, theirs in zip(labels[1:], others, strict=True)
-    }
+    return replace(found, details={**found.details, "seeds": seeds})
 
 
 SENSITIVITY = PaperExperiment(

@@ -12,7 +12,6 @@ import torch
 
 from reproduction.ablation import (
     LABELS,
-    PARTICLES,
     Variation,
     needed_runs,
     results,
@@ -20,24 +19,27 @@ from reproduction.ablation import (
     variations,
 )
 from reproduction.learned import load_learned
-from tests.helpers.short_run import quick_fits, run, short_experiment, stopped_run
+from tests.helpers.short_run import quick_fits, run, short_experiment
 from tests.helpers.summaries import leave_summary, summary, trial
-from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.method import ON_SAMPLES
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 CHANGED = {
     "ours": set(),
+    "no_samples": {"search"},
+    "matched": {"search"},
     "no_growing_horizon": {"search"},
     "no_mean_start": {"search"},
     "random_centres": {"random_centres"},
     "noise_0.02m": {"noise_std"},
     "noise_0.1m": {"noise_std"},
     "plain_angles": {"space", "least_widths"},
-    "successors": {"targets"},
-    "particles": {"prediction"},
+    "successors": {"successors"},
+    "velocities_alone": {"model"},
+    "tied_lengthscales": {"model"},
 }
 
 
@@ -63,11 +65,18 @@ def short(variation: Variation) -> Variation:
     """The same of the first steps, with searches of a few evaluations, but for what it varies."""
     few, search, policy = short_experiment(), variation.method.search, variation.method.policy
     kept = CHANGED[variation.name.removeprefix("double_pendulum_ablation_")] | {"name", "method"}
-    quick = SearchSettings(min(search.mean_iterations, 1), 1, 1, first_horizon=search.first_horizon)
+    quick = SearchSettings(
+        min(search.mean_iterations, 1),
+        1,
+        1,
+        first_horizon=search.first_horizon,
+        sample_steps=min(search.sample_steps, 2),
+    )
     policy = replace(few.method.policy, least_widths=policy.least_widths)
+    method = replace(few.method, policy=policy, search=quick, model=variation.method.model)
     shared = {entry.name: getattr(few, entry.name) for entry in fields(Task)}
     changes = {name: shared[name] for name in shared.keys() - kept}
-    return replace(variation, **changes, method=replace(few.method, policy=policy, search=quick))
+    return replace(variation, **changes, method=method)
 
 
 def test_each_variation_differs_from_ours_in_its_own_choice_and_in_name(
@@ -114,10 +123,12 @@ def test_random_centres_lie_where_nothing_was_demonstrated(varied: dict[str, Var
         assert ((policy.centres * policy.scale)[:, 0] > 2.5).any().item() is beyond
 
 
-def test_loss_and_model_are_of_the_kind_that_is_varied(varied: dict[str, Variation]) -> None:
+def test_search_and_model_are_of_the_kind_that_is_varied(varied: dict[str, Variation]) -> None:
     assert not varied["successors"].make_dynamics().targets.matrix.any()
-    particles = make_trainer(varied["particles"], 0, 1, False, print).loss_module
-    assert particles.prediction == ParticlePrediction(PARTICLES)
+    assert varied["velocities_alone"].make_dynamics().num_outputs == 2
+    assert varied["ours"].method.search == ON_SAMPLES
+    assert not varied["no_samples"].method.search.sample_steps
+    assert not varied["matched"].method.search.trust_what_is_sure
     assert varied["no_growing_horizon"].method.search.first_horizon == 1.0
     assert varied["no_mean_start"].method.search.mean_iterations == 0
 
@@ -133,26 +144,14 @@ def test_each_variation_learns_is_saved_and_loaded(
     torch.testing.assert_close(
         loaded.predicted(task).mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10
     )
-    assert torch.equal(loaded.dynamics.targets.matrix, task.make_dynamics().targets.matrix)
+    assert torch.equal(loaded.dynamics.targets.matrix, result.dynamics.targets.matrix)
     assert json.loads((tmp_path / "summary.json").read_text())["experiment"] == varied[name].name
-
-
-def test_run_on_particles_that_was_stopped_ends_as_one_that_was_not(
-    varied: dict[str, Variation], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    quick_fits(monkeypatch)
-    given = {"task": short(varied["particles"]), "seed": 0, "trials": 2}
-    whole = run(tmp_path / "whole", **given)
-    resumed = run(stopped_run(tmp_path / "stopped", "search", 5, **given), resume=True, **given)
-    for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True):
-        assert torch.equal(one, other)
-    assert [trial.loss for trial in whole.trials] == [trial.loss for trial in resumed.trials]
 
 
 def test_all_variations_run_with_all_seeds(tmp_path: Path) -> None:
     full, quick = needed_runs(tmp_path, False), needed_runs(tmp_path, True)
-    assert [run.out.name for run in full] == ["seed_0", "seed_1", "seed_2"] * len(LABELS)
-    assert {run.learn.keywords["trials"] for run in full} == {10}
+    assert [run.out.name for run in full] == [f"seed_{seed}" for seed in range(10)] * len(LABELS)
+    assert {run.learn.keywords["trials"] for run in full} == {8}
     names = [run.out.parent.name.removeprefix("double_pendulum_ablation_") for run in quick]
     assert names == list(LABELS)
 
@@ -172,18 +171,21 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
     folders = []
     for index, name in enumerate(LABELS):
         for seed in range(2):
-            run = summary_of(index / 10 + seed / 100, [False, seed == 1, index == 3])
+            run = summary_of(index / 20 + seed / 100, [False, seed == 1, name == "random_centres"])
             folders.append(leave_summary(tmp_path / name / str(seed), **run))
     made = results(folders, quick=False)
     expected = {
         "ours_success": 0.005,
-        "particles_success": 0.805,
+        "successors_success": 0.455,
+        "successors_success_10s": 0.455,
         "ours_first_success_s": (10 + 5) / 2,
         "random_centres_first_success_s": (7.5 + 5) / 2,
         "ours_runs_with_success": 1,
         "random_centres_runs_with_success": 2,
     }
     assert {name: made.headline[name] for name in expected} == pytest.approx(expected)
+    more = made.details["more_first_success_s"]["successors"]
+    assert (more["difference"], more["pairs"]) == (0.0, 2)
     for numbers in ("success", "first_success_s"):
         assert np.array(made.details[numbers]).shape == (len(LABELS), 2)
     ours, *variants = LABELS.values()

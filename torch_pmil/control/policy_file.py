@@ -166,24 +166,22 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy | Line
 
     Raises PolicyFileError where parameters are missing, do not fit, or give no finite action.
     """
-    return (_linear_of if "gains" in parameters else _network_of)(parameters, inputs)
+    policy = (_linear_policy if "gains" in parameters else _rbf_policy)(parameters, inputs)
+    policy.load_state_dict(parameters)
+    _check_magnitudes(policy)
+    return policy.requires_grad_(False)
 
 
-def _linear_of(parameters: Mapping[str, Tensor], inputs: int) -> LinearPolicy:
+def _linear_policy(parameters: Mapping[str, Tensor], inputs: int) -> LinearPolicy:
     outputs = (*getattr(parameters.get("gains"), "shape", ()), 0)[0]
     ranges = {"u_max": (outputs,), "u_middle": (outputs,), "scale": (inputs,)}
     _check_parameters(parameters, {"gains": (outputs, inputs), "offsets": (outputs,), **ranges})
     if not (inputs and outputs):
         raise PolicyFileError(f"a policy must have inputs and actions, got {inputs} and {outputs}")
-    policy = LinearPolicy(*(parameters[name] for name in ("scale", "u_max", "u_middle")))
-    policy.load_state_dict(parameters)
-    check_finite_entries(
-        "gains / scale", policy.controller.gains, lambda message, _: PolicyFileError(message)
-    )
-    return policy.requires_grad_(False)
+    return LinearPolicy(*(parameters[name] for name in ("scale", "u_max", "u_middle")))
 
 
-def _network_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
+def _rbf_policy(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
         "centres": (m, inputs),
@@ -198,10 +196,7 @@ def _network_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
         raise PolicyFileError(
             f"a policy must have centres, inputs and actions, got {m}, {inputs} and {outputs}"
         )
-    policy = RBFPolicy(parameters["centres"], parameters["u_max"], parameters["scale"])
-    policy.load_state_dict(parameters)
-    _check_magnitudes(policy)
-    return policy.requires_grad_(False)
+    return RBFPolicy(*(parameters[name] for name in ("centres", "u_max", "scale")))
 
 
 def _loaded(path: Path | str) -> dict:
@@ -299,8 +294,12 @@ def _check_parameter(
     check_finite_entries(f"parameter {name}", value, lambda message, _: PolicyFileError(message))
 
 
-def _check_magnitudes(policy: RBFPolicy) -> None:
-    """Raise where finite numbers have squares that are not, or are zero."""
+def _check_magnitudes(policy: RBFPolicy | LinearPolicy) -> None:
+    """Raise where finite numbers have ratios or squares that are not, or squares that are zero."""
+    if isinstance(policy, LinearPolicy):
+        gains = policy.controller.gains
+        check_finite_entries("gains / scale", gains, lambda message, _: PolicyFileError(message))
+        return
     centres, _, widths = policy.controller.parameters
     endless = ~centres.square().isfinite()
     if endless.any():

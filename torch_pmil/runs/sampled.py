@@ -16,12 +16,19 @@ from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import own
 from torch_pmil.runs.run_folder import save_tensors
-from torch_pmil.tasks.first_motion import GOOD, Choice, FirstMotion, choose, explore, ran_away
+from torch_pmil.tasks.first_motion import (
+    GENTLER,
+    GOOD,
+    Choice,
+    FirstMotion,
+    choose,
+    explore,
+    ran_away,
+)
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
 
 MOTION, SAMPLING = "first_motion.pt", "sampling.json"
-GENTLER = 0.5  # share of the random actions by which a robot is moved again that ran away
 
 
 def sampled(

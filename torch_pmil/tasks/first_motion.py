@@ -30,8 +30,8 @@ ALIKE, SMALL = 1.25, 0.125
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
 # a state is far if it is more than the range of what was demonstrated beyond it, and a motion ran
-# away if more than this share of it is far
-FAR, NEARLY_ALL = 1.0, 0.75
+# away if more than this share of it is far; by a share of the actions the robot is moved again
+FAR, NEARLY_ALL, GENTLER = 1.0, 0.75, 0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,14 +32,13 @@ from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
 from torch_pmil.files import write_json
-from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.tasks.registry import module_of
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 
 OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
 OUT_OF_TIME = "out of time"
-CHANGED = "-dirty"  # ends the commit of sources with changes that are not committed
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
 Said = dict[str, Any]
@@ -128,12 +127,10 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     learner = PMIL(robot, recordings, **{**said, **further})
     if variation in CHANGES:
         learner.task = CHANGES[variation](learner.task)
-    commit = str(provenance("")["commit"])
-    out = OUT / commit / _label(name, variation) / f"seed_{seed}"
-    changed = commit.endswith(CHANGED)
+    out = OUT / hash_of_sources() / _label(name, variation) / f"seed_{seed}"
     end = None
     try:
-        learner.learn(seed=seed, out=out, resume=not changed, overwrite=changed)
+        learner.learn(seed=seed, out=out, resume=True)
     except OutOfTime:
         end = OUT_OF_TIME
         finished = len((out / "metrics.csv").read_text().splitlines()) - 1
@@ -173,15 +170,14 @@ def _in_own_process(
     path: Path | None, patience: int | None, variation: str, name: str, seed: int
 ) -> dict[str, Any]:
     """The row of a run in a process of its own, unless there is one of the same sources."""
-    commit = provenance("")["commit"]
+    sources = hash_of_sources()
     kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
-    known = kept.exists() and not str(commit).endswith(CHANGED)
-    if known and (row := json.loads(kept.read_text()))["commit"] == commit:
+    if kept.exists() and (row := json.loads(kept.read_text())).get("sources") == sources:
         return row
     given = ["--robots", str(path)] if path else []
     given += ["--patience", str(patience)] if patience else []
     words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variations", variation]
-    row = {**row_of_own_process("strangers", *words), "commit": commit}
+    row = {**row_of_own_process("strangers", *words), "sources": sources}
     kept.parent.mkdir(parents=True, exist_ok=True)
     write_json(kept, row)
     print(ROW.format(**row), file=sys.stderr, flush=True)

@@ -30,6 +30,7 @@ from torch_pmil.files import (
     write_json,
 )
 from torch_pmil.runs.own_files import LIST, check_free, files_of, own, remove_files
+from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError, is_finished, words_of
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trials import Measurement
@@ -204,7 +205,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
 
 
 def provenance(command: str) -> dict[str, object]:
-    """Command, date, versions, and commit of the source tree, "unknown" outside one."""
+    """Command, date, versions, hash of the package, and commit, "unknown" outside a source tree."""
     describe, here = ["git", "describe", "--always", "--dirty"], Path(__file__).parent
     try:
         git = subprocess.run(describe, cwd=here, capture_output=True, text=True, check=False)
@@ -214,4 +215,10 @@ def provenance(command: str) -> dict[str, object]:
     versions = {"python": platform.python_version()}
     versions |= {name: version(name) for name in LIBRARIES}
     date = datetime.now(UTC).isoformat(timespec="seconds")
-    return {"command": command, "date": date, "commit": commit, "versions": versions}
+    return {
+        "command": command,
+        "date": date,
+        "commit": commit,
+        "sources": hash_of_sources(),
+        "versions": versions,
+    }

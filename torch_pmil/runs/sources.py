@@ -1,0 +1,31 @@
+"""By which sources a result was made: a hash that docstrings and lines of comments leave alone."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1]
+NO_CODE = re.compile(r'r?"""[\s\S]*?"""|^[ \t]*(?:#.*)?\n', re.MULTILINE)
+
+
+@cache
+def hash_of_sources(package: Path = PACKAGE) -> str:
+    """Twelve hexadecimal digits of the code of all modules in a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(code_of(path.read_text(encoding="utf-8")).encode())
+    return digest.hexdigest()[:12]
+
+
+def code_of(source: str) -> str:
+    r"""A module's text without docstrings, lines of comments and empty lines.
+
+    Example:
+        >>> code_of("# what it is\n\nx = 1\n")
+        'x = 1\n'
+    """
+    return NO_CODE.sub("", NO_CODE.sub("", source))

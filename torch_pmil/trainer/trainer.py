@@ -106,23 +106,13 @@ class PMILTrainer(Trainer):
         self.problem, self.ending, self.promise = problem, ending, ending.promise
         self.initial, self.error, self.tolerance = problem.initial, problem.error, problem.tolerance
         self.evaluation_env, self.on_trial = problem.measured, on_trial
-        env, loss = problem.env, problem.loss
         policies, motions = generator_of(Stream.POLICIES, seed), generator_of(Stream.MOTION, seed)
-        loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())
-        motion = problem.exploration.motion(motions)
-        if problem.box is not None:
-            motion, env.guard = CautiousMotion(motion, problem.box), problem.box.guard
-        self.actor = RobotActor(loss.actor_network, loss.space, motion)
+        self.actor = _actor(problem, policies, motions)
+        env = problem.env
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(self.actor, in_keys=in_keys, out_keys=["action"])
-        self.search = TrialSearch(
-            search,
-            lambda: problem.make_policy(policies),
-            motions,
-            self.promise,
-            self._report,
-            optimizer,
-        )
+        of_search = motions, self.promise, self._report, optimizer
+        self.search = TrialSearch(search, lambda: problem.make_policy(policies), *of_search)
         frames = problem.frames(ending.trials)
         super().__init__(
             collector=RolloutCollector(
@@ -135,7 +125,7 @@ class PMILTrainer(Trainer):
             total_frames=frames,
             frame_skip=1,
             optim_steps_per_batch=1,
-            loss_module=loss,
+            loss_module=problem.loss,
             optimization_stepper=SearchStepper(self.search),
             progress_bar=progress_bar and sys.stderr.isatty(),
             logger=logger,
@@ -146,12 +136,16 @@ class PMILTrainer(Trainer):
         self.experience = Experience(capacity=frames)
         self.state = RunState(self.actor, env.batch_size.numel())
         self._fitted = 0  # transitions of the newest model's experience
-        if self.evaluation_env is not None:
-            self.register_module("evaluation_env", self.evaluation_env)
-        self.register_module("policy_generator", GeneratorState(policies))
-        self.register_module("generator", GeneratorState(motions))
-        self.register_module("experience", self.experience)
-        self.register_module("progress", self.state)
+        modules = {
+            "evaluation_env": self.evaluation_env,
+            "policy_generator": GeneratorState(policies),
+            "generator": GeneratorState(motions),
+            "experience": self.experience,
+            "progress": self.state,
+        }
+        for name, module in modules.items():
+            if module is not None:
+                self.register_module(name, module)
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -424,3 +418,12 @@ class PMILTrainer(Trainer):
         """Show what is being done beside the progress bar."""
         if self.progress_bar:
             self._pbar.set_postfix_str(text)
+
+
+def _actor(problem: Problem, policies: torch.Generator, motions: torch.Generator) -> RobotActor:
+    """What acts on the robot: the exploration, then the loss's policy, which is drawn here."""
+    loss, motion = problem.loss, problem.exploration.motion(motions)
+    loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())
+    if problem.box is not None:
+        motion, problem.env.guard = CautiousMotion(motion, problem.box), problem.box.guard
+    return RobotActor(loss.actor_network, loss.space, motion)

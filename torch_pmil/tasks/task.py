@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Self, cast
+from typing import Self
 
 import torch
 from tensordict import TensorDictBase
@@ -14,9 +14,7 @@ from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.linear_policy import LinearPolicy
-from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
@@ -34,9 +32,10 @@ from torch_pmil.model.own_dynamics import OwnDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.seeds import Stream, draw_seed, generator_of
+from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import Method
+from torch_pmil.tasks.new_policy import name_of, new_policy
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task_checks import (
@@ -232,11 +231,9 @@ class Task(Settings):
     def _own_parts(self) -> dict[str, object]:
         """Policy and model of a user's own, as a run's settings hold them."""
         method, parts = self.method, dict[str, object]()
-        if method.make_policy is LinearPolicy:
-            parts["policy"] = LinearPolicy.__name__
-        elif method.make_policy is not None:
-            ones = torch.ones(len(self.space.feature_names), dtype=torch.float64)
-            parts["policy"] = str(self._own_policy(ones, 0).module)
+        if method.make_policy is not None:
+            inputs = len(self.space.feature_names)
+            parts["policy"] = name_of(method.make_policy, self.actions, inputs)
         if method.own_model is not None:
             parts["model"] = type(method.own_model).__name__
         return parts
@@ -331,44 +328,14 @@ class Task(Settings):
 
         With ``holding_actions`` it holds the robot at the start.
         """
-        if self.method.make_policy is None:
-            policy: AnyPolicy = self._network_near(inputs, generator)
-        elif self.method.make_policy is LinearPolicy:
-            policy = self._linear_policy(self._spread(inputs), generator)
-        else:
-            policy = self._own_policy(self._spread(inputs), draw_seed(generator))
+        settings, spread = self.method.policy, self._spread(inputs)
+        of_inputs = inputs, spread, self.widths(spread), generator
+        policy = new_policy(self.method.make_policy, settings, self.actions, *of_inputs)
         if self.holding_actions is not None:
             held = self.initial.sample(HELD_STARTS, generator)
             if self.held_states is not None:
                 held = torch.cat([held, self.held_states])
             policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
-        return policy
-
-    def _linear_policy(self, scale: Tensor, generator: torch.Generator) -> LinearPolicy:
-        """A new linear policy with small random gains."""
-        policy = LinearPolicy(scale, self.actions.half_range, self.actions.middle)
-        white = torch.randn(policy.gains.shape, dtype=torch.float64, generator=generator)
-        policy.gains.data.copy_(self.method.policy.initial_weight_std * white)
-        return policy
-
-    def _own_policy(self, scale: Tensor, seed: int) -> ModulePolicy:
-        """A new policy by a module of a user's own, made under a seed of PyTorch's generator."""
-        actions, make = self.actions, cast(MakeModule, self.method.make_policy)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            module = make(len(scale), len(actions.names))
-        return ModulePolicy(module, scale, actions.half_range, actions.middle)
-
-    def _network_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """An RBF network with centres near some of the inputs and small random weights."""
-        settings, actions = self.method.policy, self.actions
-        std, count = self._spread(inputs), settings.num_centres
-        chosen = torch.randint(len(inputs), (count,), generator=generator)
-        jitter = torch.randn(count, len(std), dtype=torch.float64, generator=generator)
-        centres = inputs[chosen] + 0.1 * std * jitter
-        policy = RBFPolicy(centres, actions.half_range, self.widths(std), actions.middle)
-        white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
-        policy.weights.data.copy_(settings.initial_weight_std * white)
         return policy
 
     def widths(self, std: Tensor) -> Tensor:

@@ -34,8 +34,6 @@ LABELS = {
     "no_growing_horizon": "whole horizon at once",
     "no_mean_start": "no runs on the mean",
     "random_centres": "random centres",
-    "noise_0.02m": "noise floor 0.02 m",
-    "noise_0.1m": "noise floor 0.1 m",
     "plain_angles": "plain angles",
     "successors": "successors as targets",
     "velocities_alone": "velocities alone",
@@ -84,8 +82,8 @@ def variations() -> dict[str, Variation]:
     Iterations that a choice would save go elsewhere.
 
     Example:
-        >>> variations()["noise_0.1m"].noise_std
-        0.1
+        >>> variations()["no_samples"].method.search.sample_steps
+        0
     """
     task = load_experiment("double_pendulum")
     ours = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)})
@@ -109,8 +107,6 @@ def variations() -> dict[str, Variation]:
         "no_growing_horizon": {"method": replace(method, search=at_once)},
         "no_mean_start": {"method": replace(method, search=no_mean_start)},
         "random_centres": {"random_centres": True},
-        "noise_0.02m": {"noise_std": 0.02},
-        "noise_0.1m": {"noise_std": 0.1},
         "plain_angles": {
             "space": replace(task.space, angles=()),
             "method": replace(method, policy=replace(policy, least_widths=None)),

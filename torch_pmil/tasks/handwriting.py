@@ -14,7 +14,7 @@ from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Record
 from torch_pmil.envs.rollouts import of_states, states_of
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.fitting import actions_of, independent_start
-from torch_pmil.tasks.method import Method, ModelSettings, PolicySettings
+from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.strokes import (
     NAMES,
     TIME_STEP,
@@ -100,8 +100,7 @@ def _writes(name: str, writer: Writer, pen: Pen | None) -> Task:
             policy=PolicySettings(
                 num_centres=NUM_CENTRES, input_widths=input_widths(demonstrated, writer.space)
             ),
-            # positions follow, so that nothing is learned twice: the first policy writes sooner
-            model=ModelSettings(velocities_alone=True),
+            model=writer.model,
             exploration=writer.movements(
                 demonstrated, actions.half_range, strokes.positions.shape[1] - 1
             ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -25,6 +25,7 @@ from torch_pmil.envs.joint_torques import tracking_torques
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space
 from torch_pmil.tasks.double_pendulum import double_pendulum_space
+from torch_pmil.tasks.method import ModelSettings
 from torch_pmil.tasks.strokes import placed
 
 BIOROB_SHOULDER = 1.1  # m above the floor
@@ -49,6 +50,7 @@ class Writer:
     damping: tuple[float, ...]  # N·m·s/rad
     reach: float  # of the exploration, in half ranges of the demonstrated positions
     search: SearchSettings
+    model: ModelSettings = field(default_factory=ModelSettings)
 
     def state(self, positions: Tensor, velocities: Tensor) -> Tensor:
         """States (*batch, D) of joints (*batch, J)."""
@@ -115,6 +117,9 @@ def pendulum_writer() -> Writer:
         search=SearchSettings(
             mean_iterations=30, stage_iterations=20, final_iterations=60, trust_threshold=0.5
         ),
+        # positions follow, so that nothing is learned twice: the first policy writes sooner. The
+        # BioRob's do not follow exactly enough, since its joints hang on springs
+        model=ModelSettings(velocities_alone=True),
     )
 
 

@@ -8,17 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.control.known_part import KnownPart
-from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.runs.summaries import read_summary, success_over_experience
-from torch_pmil.tasks.cost_task import random_states
 from torch_pmil.tasks.method import BY_MATCH, SURE
-from torch_pmil.tasks.pilco import VELOCITY_STD
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -33,7 +29,6 @@ LABELS = {
     "matched": "horizon by match, no samples",
     "no_growing_horizon": "whole horizon at once",
     "no_mean_start": "no runs on the mean",
-    "random_centres": "random centres",
     "plain_angles": "plain angles",
     "successors": "successors as targets",
     "velocities_alone": "velocities alone",
@@ -43,37 +38,21 @@ LABELS = {
 
 @dataclass(frozen=True, eq=False)
 class Variation(Task):
-    """A task with choices made otherwise that are no settings of an experiment.
-
-    Args:
-        successors: whether the model learns the next states, and not the changes of the state.
-        random_centres: whether the policy's centres are all over the state space, and not near
-            demonstrated states.
-    """
+    """A task whose model may learn the next states, in place of the changes of the state."""
 
     successors: bool = False
-    random_centres: bool = False
 
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
         return super().settings | {
             "successors": self.successors,
-            "random_centres": self.random_centres,
             "angles": list(self.space.angles),
         }
 
     @property
     def _known_part(self) -> KnownPart:
         return KnownPart.of_successors(self.space.dim) if self.successors else super()._known_part
-
-    def make_policy(self, generator: torch.Generator) -> AnyPolicy:
-        """A new policy with centres near demonstrated states, or near random ones."""
-        if self.random_centres:
-            std = torch.full((self.space.dim,), VELOCITY_STD, dtype=torch.float64)
-            states = random_states(self.space, self.initial.mean, std, generator)
-            return self.policy_near(self.space.features(states), generator)
-        return super().make_policy(generator)
 
 
 def variations() -> dict[str, Variation]:
@@ -106,7 +85,6 @@ def variations() -> dict[str, Variation]:
         "matched": {"method": replace(method, search=BY_MATCH)},
         "no_growing_horizon": {"method": replace(method, search=at_once)},
         "no_mean_start": {"method": replace(method, search=no_mean_start)},
-        "random_centres": {"random_centres": True},
         "plain_angles": {
             "space": replace(task.space, angles=()),
             "method": replace(method, policy=replace(policy, least_widths=None)),

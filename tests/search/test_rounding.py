@@ -21,7 +21,8 @@ def waves() -> Task:
     strokes = [
         torch.stack([0.3 * along, height * (6 * along).sin()], -1) for height in (0.05, 0.06)
     ]
-    return handwriting(Demonstrations(torch.stack(strokes), 0.1, ("x", "y")))
+    task = handwriting(Demonstrations(torch.stack(strokes), 0.1, ("x", "y")))
+    return task.with_settings(velocities_alone=False)
 
 
 @torch.no_grad()

@@ -33,6 +33,7 @@ from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
 from torch_pmil.files import write_json
 from torch_pmil.runs.sources import hash_of_sources
+from torch_pmil.runs.summaries import count_trials
 from torch_pmil.tasks.registry import module_of
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
@@ -133,8 +134,7 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
         learner.learn(seed=seed, out=out, resume=True)
     except OutOfTime:
         end = OUT_OF_TIME
-        finished = len((out / "metrics.csv").read_text().splitlines()) - 1
-        learner.learn(trials=finished, seed=seed, out=out, resume=True)
+        learner.learn(trials=count_trials(out), seed=seed, out=out, resume=True)
     cpu_s, summary = time.process_time() - begun, learner.result.summary
     return {
         "robot": name,

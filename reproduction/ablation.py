@@ -115,24 +115,24 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 
     Also the mean success after so few seconds that variations differ (``SOON``).
     """
-    found, each = results_of_variants(LABELS, "ablation", folders), len(folders) // len(LABELS)
+    runs, each = [read_summary(folder) for folder in folders], len(folders) // len(LABELS)
+    found = results_of_variants(LABELS, "ablation", runs)
     soon: dict[str, float | None] = {}
     for number, variant in enumerate(LABELS):
-        own = folders[number * each : (number + 1) * each]
-        curve = success_over_experience([read_summary(folder) for folder in own])
+        curve = success_over_experience(runs[number * each : (number + 1) * each])
         soon |= {f"{variant}_success_{time:g}s": curve.at(time) for time in SOON}
     return replace(found, headline={**found.headline, **soon})
 
 
-def results_of_variants(labels: Mapping[str, str], name: str, folders: Sequence[Path]) -> Results:
+def results_of_variants(labels: Mapping[str, str], name: str, runs: Sequence[dict]) -> Results:
     """The same of any variants with equally many runs, and both less those of the first.
 
     Args:
         labels: of the variants in the figure, by their names.
         name: of the figure.
-        folders: of the runs, variant by variant, each with the same seeds.
+        runs: summaries, variant by variant, each with the same seeds.
     """
-    outcomes = [success_and_experience(read_summary(folder)) for folder in folders]
+    outcomes = [success_and_experience(run) for run in runs]
     rates, seconds, succeeded = (
         np.array(values).reshape(len(labels), -1) for values in zip(*outcomes, strict=True)
     )

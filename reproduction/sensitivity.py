@@ -9,6 +9,7 @@ from typing import Any
 
 from reproduction.ablation import results_of_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -68,7 +69,7 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success and experience of each variant, and both less those of ours, seed by seed."""
     labels = {label.replace(" ", "_"): label for label in variants()}
-    found = results_of_variants(labels, "sensitivity", folders)
+    found = results_of_variants(labels, "sensitivity", list(map(read_summary, folders)))
     seeds = list(QUICK_SEEDS if quick else SEEDS)
     return replace(found, details={**found.details, "seeds": seeds})
 

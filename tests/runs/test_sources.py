@@ -15,6 +15,24 @@ def one() -> int:
     """One."""
     # exact
     return 1
+
+
+SHOWN = """
+text
+"""
+
+
+def two() -> int:
+    """Two."""
+    return 2
+'''
+CODE = '''def one() -> int:
+    return 1
+SHOWN = """
+text
+"""
+def two() -> int:
+    return 2
 '''
 
 
@@ -25,11 +43,13 @@ def one() -> int:
         ("its number", "another comment", False),
         ("    # exact\n", "\n\n", False),
         ("return 1", "return 2", True),
+        ("def two", "def three", True),
+        ("\ntext\n", "\nanother\n", True),
         ("return 1", "return 1  # beside code", True),
     ],
 )
 def test_hash_is_of_code_alone(tmp_path: Path, before: str, after: str, changes: bool) -> None:
-    assert code_of(SOURCE) == "def one() -> int:\n    return 1\n"
+    assert code_of(SOURCE) == CODE
     found = []
     for source in (SOURCE, SOURCE.replace(before, after)):
         (tmp_path / "module.py").write_text(source)

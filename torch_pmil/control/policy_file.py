@@ -168,7 +168,11 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy | Line
     """
     policy = (_linear_policy if "gains" in parameters else _rbf_policy)(parameters, inputs)
     policy.load_state_dict(parameters)
-    _check_magnitudes(policy)
+    if isinstance(policy, LinearPolicy):
+        gains = policy.controller.gains
+        check_finite_entries("gains / scale", gains, lambda message, _: PolicyFileError(message))
+    else:
+        _check_magnitudes(policy)
     return policy.requires_grad_(False)
 
 
@@ -294,12 +298,8 @@ def _check_parameter(
     check_finite_entries(f"parameter {name}", value, lambda message, _: PolicyFileError(message))
 
 
-def _check_magnitudes(policy: RBFPolicy | LinearPolicy) -> None:
-    """Raise where finite numbers have ratios or squares that are not, or squares that are zero."""
-    if isinstance(policy, LinearPolicy):
-        gains = policy.controller.gains
-        check_finite_entries("gains / scale", gains, lambda message, _: PolicyFileError(message))
-        return
+def _check_magnitudes(policy: RBFPolicy) -> None:
+    """Raise where finite numbers have squares that are not, or are zero."""
     centres, _, widths = policy.controller.parameters
     endless = ~centres.square().isfinite()
     if endless.any():

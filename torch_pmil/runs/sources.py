@@ -8,7 +8,9 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
-NO_CODE = re.compile(r'r?"""[\s\S]*?"""|^[ \t]*(?:#.*)?\n', re.MULTILINE)
+# statements that are a string alone, lines of comments and empty lines; other strings are code
+TEXT = r'"""(?:(?!""")[\s\S])*"""'
+NO_CODE = re.compile(rf"^[ \t]*(?:r?{TEXT}[ \t]*(?:#.*)?|#.*)?\n|(?P<code>{TEXT})", re.MULTILINE)
 
 
 @cache
@@ -28,4 +30,4 @@ def code_of(source: str) -> str:
         >>> code_of("# what it is\n\nx = 1\n")
         'x = 1\n'
     """
-    return NO_CODE.sub("", NO_CODE.sub("", source))
+    return NO_CODE.sub(lambda found: found["code"] or "", source)

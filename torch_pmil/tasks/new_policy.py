@@ -35,11 +35,19 @@ def new_policy(
         widths: of the network's basis functions, (D',).
         generator: source of the draws.
     """
-    if make is None:
-        return _network(settings, actions, inputs, spread, widths, generator)
     if make is LinearPolicy:
-        return _linear(settings, actions, spread, generator)
-    return _of_module(cast(MakeModule, make), actions, spread, draw_seed(generator))
+        linear = LinearPolicy(spread, actions.half_range, actions.middle)
+        _draw(linear.gains, settings, generator)
+        return linear
+    if make is not None:
+        return _of_module(cast(MakeModule, make), actions, spread, draw_seed(generator))
+    count = settings.num_centres
+    chosen = torch.randint(len(inputs), (count,), generator=generator)
+    jitter = torch.randn(count, len(spread), dtype=torch.float64, generator=generator)
+    centres = inputs[chosen] + 0.1 * spread * jitter
+    network = RBFPolicy(centres, actions.half_range, widths, actions.middle)
+    _draw(network.weights, settings, generator)
+    return network
 
 
 def name_of(make: MakePolicy, actions: ActionSpace, inputs: int) -> str:
@@ -50,33 +58,10 @@ def name_of(make: MakePolicy, actions: ActionSpace, inputs: int) -> str:
     return str(_of_module(cast(MakeModule, make), actions, ones, 0).module)
 
 
-def _network(
-    settings: PolicySettings,
-    actions: ActionSpace,
-    inputs: Tensor,
-    spread: Tensor,
-    widths: Tensor,
-    generator: torch.Generator,
-) -> RBFPolicy:
-    """An RBF network with centres near some of the inputs and small random weights."""
-    count = settings.num_centres
-    chosen = torch.randint(len(inputs), (count,), generator=generator)
-    jitter = torch.randn(count, len(spread), dtype=torch.float64, generator=generator)
-    centres = inputs[chosen] + 0.1 * spread * jitter
-    policy = RBFPolicy(centres, actions.half_range, widths, actions.middle)
-    white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
-    policy.weights.data.copy_(settings.initial_weight_std * white)
-    return policy
-
-
-def _linear(
-    settings: PolicySettings, actions: ActionSpace, scale: Tensor, generator: torch.Generator
-) -> LinearPolicy:
-    """A linear policy with small random gains."""
-    policy = LinearPolicy(scale, actions.half_range, actions.middle)
-    white = torch.randn(policy.gains.shape, dtype=torch.float64, generator=generator)
-    policy.gains.data.copy_(settings.initial_weight_std * white)
-    return policy
+def _draw(weights: Tensor, settings: PolicySettings, generator: torch.Generator) -> None:
+    """Draw small random weights in place."""
+    white = torch.randn(weights.shape, dtype=torch.float64, generator=generator)
+    weights.data.copy_(settings.initial_weight_std * white)
 
 
 def _of_module(make: MakeModule, actions: ActionSpace, scale: Tensor, seed: int) -> ModulePolicy:

@@ -136,16 +136,12 @@ class PMILTrainer(Trainer):
         self.experience = Experience(capacity=frames)
         self.state = RunState(self.actor, env.batch_size.numel())
         self._fitted = 0  # transitions of the newest model's experience
-        modules = {
-            "evaluation_env": self.evaluation_env,
-            "policy_generator": GeneratorState(policies),
-            "generator": GeneratorState(motions),
-            "experience": self.experience,
-            "progress": self.state,
-        }
-        for name, module in modules.items():
-            if module is not None:
-                self.register_module(name, module)
+        if self.evaluation_env is not None:
+            self.register_module("evaluation_env", self.evaluation_env)
+        self.register_module("policy_generator", GeneratorState(policies))
+        self.register_module("generator", GeneratorState(motions))
+        self.register_module("experience", self.experience)
+        self.register_module("progress", self.state)
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""

@@ -6,7 +6,7 @@ Price: CPU time of value and gradient on the problem of ``benchmarks.breakdown``
 Belief: after the search of each trial of some runs, its policy starts 100 times anew. Coverage is
 the share of the states within two predicted standard deviations, by moments and by 500 functions.
 The Brier score is the mean square of predicted success less success, by functions and by particles
-that are drawn anew at each step.
+that are drawn anew at each step. A figure has the rates that each predicted beside those measured.
 
 Example:
     python -m benchmarks.samples
@@ -15,8 +15,9 @@ Example:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,6 +25,8 @@ from torch import Tensor
 from benchmarks.breakdown import HORIZON, evaluation, seconds
 from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import make_problem
+from reproduction.plots.calibration import plot_success_calibration
+from reproduction.replayed_runs import Forecast, drawn
 from torch_pmil.files import write_json
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.particles import sample_rollouts
@@ -33,6 +36,7 @@ from torch_pmil.model.sampled_rollouts import (
     noise_of_steps,
     sample_consistent_rollouts,
 )
+from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.promise import SAMPLES
 from torch_pmil.tasks.registry import load_experiment
@@ -42,6 +46,7 @@ from torch_pmil.trainer.trainer import PMILTrainer
 SIZES = (100, 200, 400, 1000, 5000)
 LARGEST_OF_MOMENTS = 1000  # beyond, a model's posterior is sparse
 FUNCTIONS, REPEATED, STARTS, TRIALS = 100, 20, 100, 8
+PREDICTORS = {"samples": "functions of the posterior", "steps": "drawn anew at each step"}
 
 
 def main() -> None:
@@ -61,6 +66,7 @@ def main() -> None:
     policies = [
         row for name in arguments.tasks for seed in arguments.seeds for row in run(name, seed)
     ]
+    save_figure(calibration(policies), arguments.json.with_name("calibration.png"))
     headline = {f"cpu_ms_n{row['n']}": row["functions_ms"] for row in speeds}
     for name in ("coverage_samples", "coverage_moments", "brier_samples", "brier_steps"):
         known = [row[name] for row in policies if row[name] is not None]
@@ -105,7 +111,7 @@ def fastest(function: Callable[[], object]) -> float:
     return round(1e3 * min(seconds(function) for _ in range(REPEATED)), 2)
 
 
-def run(name: str, seed: int) -> list[dict[str, float | None]]:
+def run(name: str, seed: int) -> list[dict[str, Any]]:
     """Coverage and Brier scores of the policies of a run, one in each trial."""
     task, rows = load_experiment(name), list[dict[str, float | None]]()
     trainer = make_trainer(task, seed, TRIALS, False, lambda trial: None)
@@ -148,10 +154,23 @@ def scores(
         "coverage_samples": coverage(spread, seen),
         "coverage_moments": moments,
     }
-    for name, states in (("samples", consistent), ("steps", steps)):
+    for name, states in zip(PREDICTORS, (consistent, steps), strict=True):
         rate = float((promise.error(states) <= promise.tolerance).double().mean())
+        result[f"predicted_{name}"] = rate
         result[f"brier_{name}"] = (rate - success) ** 2 + success * (1 - success)
     return result
+
+
+def calibration(policies: Sequence[Mapping[str, Any]]) -> Figure:
+    """Measured over predicted success of the policies, a panel for each way of predicting."""
+    return plot_success_calibration(
+        {
+            title: drawn(
+                [Forecast(row[f"predicted_{name}"], row["success"], STARTS) for row in policies]
+            )
+            for name, title in PREDICTORS.items()
+        }
+    )
 
 
 def coverage(predicted: Gaussian, seen: Tensor) -> float:

@@ -31,7 +31,6 @@ from reproduction.robustness import ROBUSTNESS
 from reproduction.sensitivity import SENSITIVITY
 from reproduction.servo_gains import SERVO_GAINS
 from reproduction.ur5e import UR5E_CARRIES
-from reproduction.velocities import VELOCITIES
 from reproduction.where_runs_fail import WHERE_RUNS_FAIL
 
 PAPER = {
@@ -56,7 +55,6 @@ PAPER = {
         SERVO_GAINS,
         WHERE_RUNS_FAIL,
         UR5E_CARRIES,
-        VELOCITIES,
         POSITIONS_ONLY,
         DELAY,
         BIOROB_HISTORY,

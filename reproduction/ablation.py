@@ -14,7 +14,7 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from reproduction.soak.comparison import paired
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.runs.summaries import read_summary, success_over_experience
-from torch_pmil.tasks.method import BY_MATCH, SURE
+from torch_pmil.tasks.method import BY_MATCH, SURE, ModelSettings
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -31,7 +31,7 @@ LABELS = {
     "no_mean_start": "no runs on the mean",
     "plain_angles": "plain angles",
     "successors": "successors as targets",
-    "velocities_alone": "velocities alone",
+    "all_entries": "positions learned too",
     "tied_lengthscales": "tied lengthscales",
 }
 
@@ -79,6 +79,8 @@ def variations() -> dict[str, Variation]:
         mean_iterations=0,
         stage_iterations=search.stage_iterations + search.mean_iterations // MEAN_COST,
     )
+    all_entries = {"method": replace(method, model=ModelSettings())}
+    tied = replace(method.model, tied_lengthscales=True)
     changes: dict[str, dict[str, Any]] = {
         "ours": {},
         "no_samples": {"method": replace(method, search=SURE)},
@@ -89,11 +91,10 @@ def variations() -> dict[str, Variation]:
             "space": replace(task.space, angles=()),
             "method": replace(method, policy=replace(policy, least_widths=None)),
         },
-        "successors": {"successors": True},
+        "successors": {"successors": True, **all_entries},
+        "all_entries": all_entries,
+        "tied_lengthscales": {"method": replace(method, model=tied)},
     }
-    for setting in ("velocities_alone", "tied_lengthscales"):
-        model = replace(method.model, **{setting: True})
-        changes[setting] = {"method": replace(method, model=model)}
     return {
         name: replace(ours, name=f"double_pendulum_ablation_{name}", **change)
         for name, change in changes.items()

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from reproduction import arms, ur5e, velocities
+from reproduction import arms, ur5e
 from reproduction.arms import PANDA, UR5E, Arm, arm_experiment, motion, servo_alone
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.tasks.registry import load_experiment
 
 ARMS = pytest.mark.parametrize("arm", [UR5E, PANDA], ids=["ur5e", "panda"])
 needs_robosuite = pytest.mark.skipif(
@@ -52,12 +51,6 @@ def test_headline_counts_the_seeds_that_came_near_enough() -> None:
     headline = ur5e.headline_of(runs)
     assert (headline["seeds_solved"], headline["seeds"]) == (2, 3)
     assert (headline["median_ratio"], headline["worst_ratio"]) == (1.25, 1.3)
-
-
-def test_velocities_alone_differ_in_nothing_else() -> None:
-    plain, alone = load_experiment("double_pendulum"), velocities.velocities_alone()
-    differing = {name for name in plain.settings if plain.settings[name] != alone.settings[name]}
-    assert differing == {"velocities_alone"}
 
 
 @needs_robosuite

@@ -42,7 +42,7 @@ SECONDS = 5
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that was stopped in the search of its second trial."""
-    return stopped_run(tmp_path_factory.mktemp("runs") / "stopped", "search", 10)
+    return stopped_run(tmp_path_factory.mktemp("runs") / "stopped", "search", 7)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from torch_pmil.envs.cart_pole import POLE_LENGTH, CartPoleEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.inverted_pendulum import cart_and_tip
-from torch_pmil.tasks.method import ON_SAMPLES, with_least_widths
+from torch_pmil.tasks.method import VELOCITIES, with_least_widths
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.03  # m
@@ -72,5 +72,5 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
         noise_std=NOISE_STD,
         error=of_states(lambda states: distance_from_goal(states, goal)),
         tolerance=SUCCESS_DISTANCE,
-        method=with_least_widths(LEAST_WIDTHS, search=ON_SAMPLES),
+        method=with_least_widths(LEAST_WIDTHS, model=VELOCITIES),
     )

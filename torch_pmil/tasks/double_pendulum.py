@@ -12,7 +12,7 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.fitting import simulated_parts
-from torch_pmil.tasks.method import ON_SAMPLES, with_least_widths
+from torch_pmil.tasks.method import ON_SAMPLES, VELOCITIES, with_least_widths
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.05  # m
@@ -98,6 +98,6 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         noise_std=NOISE_STD,
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
-        method=with_least_widths(LEAST_WIDTHS, search=ON_SAMPLES),
+        method=with_least_widths(LEAST_WIDTHS, model=VELOCITIES, search=ON_SAMPLES),
         sketch=joints_at,
     )

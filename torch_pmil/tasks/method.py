@@ -135,6 +135,9 @@ class Method(Settings):
     own_model: Any = None
 
 
+# a position follows from its velocity, so that nothing is learned twice, with half the computing;
+# where joints hang on springs, as the BioRob's do, it does not follow exactly enough
+VELOCITIES = ModelSettings(velocities_alone=True)
 BY_MATCH = SearchSettings()
 # what is sure is followed, and where nothing is sure to the end, samples lead: the robots of the
 # package learn sooner with one or both, except those that need a match followed step by step
@@ -142,9 +145,10 @@ SURE = SearchSettings(trust_threshold=0.15, trust_what_is_sure=True)
 ON_SAMPLES = replace(SURE, sample_steps=500)
 
 
-def with_least_widths(
-    widths: Sequence[float], num_centres: int = 100, search: SearchSettings = BY_MATCH
-) -> Method:
-    """A method whose new policies have so many basis functions of at least these widths."""
+def with_least_widths(widths: Sequence[float], num_centres: int = 100, **parts: Any) -> Method:
+    """A method whose new policies have so many basis functions of at least these widths.
+
+    ``parts`` are its other settings.
+    """
     least = torch.tensor(widths, dtype=torch.float64)
-    return Method(PolicySettings(num_centres=num_centres, least_widths=least), search=search)
+    return Method(PolicySettings(num_centres=num_centres, least_widths=least), **parts)

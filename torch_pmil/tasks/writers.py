@@ -25,7 +25,7 @@ from torch_pmil.envs.joint_torques import tracking_torques
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space
 from torch_pmil.tasks.double_pendulum import double_pendulum_space
-from torch_pmil.tasks.method import ModelSettings
+from torch_pmil.tasks.method import VELOCITIES, ModelSettings
 from torch_pmil.tasks.strokes import placed
 
 BIOROB_SHOULDER = 1.1  # m above the floor
@@ -117,9 +117,7 @@ def pendulum_writer() -> Writer:
         search=SearchSettings(
             mean_iterations=30, stage_iterations=20, final_iterations=60, trust_threshold=0.5
         ),
-        # positions follow, so that nothing is learned twice: the first policy writes sooner. The
-        # BioRob's do not follow exactly enough, since its joints hang on springs
-        model=ModelSettings(velocities_alone=True),
+        model=VELOCITIES,
     )
 
 

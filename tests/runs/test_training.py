@@ -153,7 +153,7 @@ def load_network(folder: Path) -> RBFPolicy:
 
 
 def load_dynamics(folder: Path) -> GPDynamics:
-    dynamics = GPDynamics(8, 4)
+    dynamics = short_experiment().make_dynamics()
     dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True))
     return dynamics
 

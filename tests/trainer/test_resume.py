@@ -35,7 +35,7 @@ STOPS = (
     ("collection", 2),  # no checkpoint yet
     ("collection", STEPS + 2),
     ("fit", 2),
-    ("fit", 6),
+    ("fit", 3),
     ("search", 1),
     ("search", 4),
     ("search", 8),
@@ -44,7 +44,7 @@ STOPS = (
     ("writing", 60),
     ("renaming", 1),
     ("renaming", 3),
-    ("fit", 4 * TRIALS + 1),  # all trials are done, the best policy is chosen
+    ("fit", 2 * TRIALS + 1),  # all trials are done, the best policy is chosen
 )
 FEW = (STOPS[1], STOPS[6], STOPS[7], STOPS[-1])  # one of each phase that writes no file
 

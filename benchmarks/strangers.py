@@ -31,6 +31,7 @@ from benchmarks.absolute import with_fixed_criteria, with_limits
 from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import STRANGERS
 from torch_pmil import PMIL
+from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.files import write_json
 from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import count_trials
@@ -51,6 +52,9 @@ FURTHER: dict[str, Callable[[Said], Said]] = {  # what is said besides
 CHANGES: dict[str, Callable[[Task], Task]] = {
     "limits": with_limits,
     "fixed criteria": with_fixed_criteria,
+    "velocities": lambda task: (
+        task.with_settings(velocities_alone=True) if rates_of(task.space.names) else task
+    ),
 }
 VARIATIONS = (*FURTHER, *CHANGES)
 

@@ -10,6 +10,7 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.search.target_costs import SaturatingCost
 from torch_pmil.tasks.cost_task import SEARCH, CostTask
 from torch_pmil.tasks.double_pendulum import UPRIGHT, double_pendulum
+from torch_pmil.tasks.method import ModelSettings
 from torch_pmil.tasks.task import Task
 
 COST_WIDTH = 2.0  # m, Eq. 28
@@ -26,7 +27,7 @@ def with_cost(task: Task, name: str, cost: SaturatingCost, velocity_std: float) 
         cost=cost,
         steps=task.horizon,
         control_period=task.time_step,
-        method=replace(task.method, search=SEARCH),
+        method=replace(task.method, model=ModelSettings(), search=SEARCH),  # all entries, as PILCO
         centre_std=torch.full((task.space.dim,), velocity_std, dtype=torch.float64),
     )
 

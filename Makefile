@@ -8,8 +8,9 @@ ARGS ?=
 OF_MAKE := PYTHON PIP ARGS TORCH_ARGS SOAK_RUNS SOAK_SEED MAKEFLAGS MAKEOVERRIDES -*-command-variables-*-
 GIVEN = $(foreach name,$(sort $(filter-out $(OF_MAKE),$(.VARIABLES))),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
 SEEDS := 0 1 2 3 4 5 6 7 8 9
-MORE_SEEDS := $(SEEDS) $(SEEDS:%=1%) $(SEEDS:%=2%)
-LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum double_pendulum_servo cart_pole gym_pendulum inverted_pendulum)
+MORE_SEEDS := $(SEEDS:%=1%) $(SEEDS:%=2%)
+TASKS := double_pendulum double_pendulum_servo cart_pole gym_pendulum inverted_pendulum
+LEARNED := $(TASKS:%=results/tasks/%/summary.json)
 TORCH_ARGS ?=
 SOAK_RUNS ?= 100
 SOAK_SEED ?= 0
@@ -63,11 +64,8 @@ demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 
 results: $(LEARNED)  ## learn five tasks with the seeds 0-9, the first with 0-29, resumable; -j2 for two at a time
 
+$(foreach task,$(TASKS),$(eval results/tasks/$(task)/summary.json: $(SEEDS:%=runs/$(task)/seed_%/summary.json)))
 results/tasks/double_pendulum/summary.json: $(MORE_SEEDS:%=runs/double_pendulum/seed_%/summary.json)
-results/tasks/double_pendulum_servo/summary.json: $(SEEDS:%=runs/double_pendulum_servo/seed_%/summary.json)
-results/tasks/cart_pole/summary.json: $(SEEDS:%=runs/cart_pole/seed_%/summary.json)
-results/tasks/gym_pendulum/summary.json: $(SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
-results/tasks/inverted_pendulum/summary.json: $(SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
 $(LEARNED):
 	@.venv/bin/pmil summarize $(^D) --out $(@D)
 

@@ -66,13 +66,13 @@ def main() -> None:
     policies = [
         row for name in arguments.tasks for seed in arguments.seeds for row in run(name, seed)
     ]
-    save_figure(calibration(policies), arguments.json.with_name("calibration.png"))
     headline = {f"cpu_ms_n{row['n']}": row["functions_ms"] for row in speeds}
     for name in ("coverage_samples", "coverage_moments", "brier_samples", "brier_steps"):
         known = [row[name] for row in policies if row[name] is not None]
         headline[name] = sum(known) / len(known)
     print(headline)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(calibration(policies), arguments.json.with_name("calibration.png"))
     write_json(
         arguments.json,
         {

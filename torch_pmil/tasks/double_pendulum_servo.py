@@ -25,9 +25,8 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     """
     task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
     # positions that follow from velocities would make this model too sure: promises were broken
-    settings = {"initial_weight_std": WEIGHT_STD, "velocities_alone": False, "search": SURE}
     return replace(
-        task.with_settings(**settings),
+        task.with_settings(initial_weight_std=WEIGHT_STD, velocities_alone=False, search=SURE),
         name="double_pendulum_servo",
         make_env=DoublePendulumServoEnv,
         actions=actions_of(env),

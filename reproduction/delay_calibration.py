@@ -100,7 +100,9 @@ class Calibration:
         coverage: fraction of entries within two predicted standard deviations; of Gaussians 0.954.
         standardised_error: root mean square of the errors in predicted standard deviations; of
             Gaussians 1.
-        nll: negative log-likelihood of the executed states, nats a state.
+        nll: negative log-likelihood of the executed states, nats a state. Where entries follow from
+            others, which leaves the state no density, it is that of these others: compare models
+            of the same entries.
     """
 
     coverage: float
@@ -108,8 +110,12 @@ class Calibration:
     nll: float
 
     @classmethod
-    def of(cls, predicted: Gaussian, executed: Tensor) -> Calibration:
+    def of(
+        cls, predicted: Gaussian, executed: Tensor, learned: Sequence[int] | None = None
+    ) -> Calibration:
         """The calibration of beliefs, mean (N, D), at executed states (N, D).
+
+        ``learned`` are the entries from which the others follow; None for all.
 
         Example:
             >>> standard = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
@@ -117,11 +123,13 @@ class Calibration:
             0.5
         """
         z = (executed - predicted.mean) / predicted.std
-        normal = torch.distributions.MultivariateNormal(predicted.mean, predicted.cov)
+        entries = list(range(predicted.dim) if learned is None else learned)
+        mean, cov = predicted.mean[:, entries], predicted.cov[:, entries][..., entries]
+        normal = torch.distributions.MultivariateNormal(mean, cov)
         return cls(
             coverage=(z.abs() <= 2).double().mean().item(),
             standardised_error=z.square().mean().sqrt().item(),
-            nll=-normal.log_prob(executed).mean().item(),
+            nll=-normal.log_prob(executed[:, entries]).mean().item(),
         )
 
 
@@ -155,13 +163,14 @@ def calibrations_ahead(
         shown: number of entries that are compared, the first ones, where others repeat the past;
             None for all.
     """
-    found = {}
+    found, kept = {}, range(space.dim)[:shown]
+    learned = [entry for entry in dynamics.known_part(space).learned if entry in kept]
     for steps in (steps for steps in AHEAD if steps < states.shape[1]):
         begin, end = states[:, :-steps].flatten(0, 1), states[:, steps:].flatten(0, 1)[:, :shown]
         certain = Gaussian(begin, torch.zeros(*begin.shape, begin.shape[-1]).to(begin))
         ahead = predict_trajectory(certain, policy, dynamics, space, steps)
         last = Gaussian(ahead.mean[:, -1, :shown], ahead.cov[:, -1, :shown, :shown])
-        found[steps] = Calibration.of(last, end)
+        found[steps] = Calibration.of(last, end, learned)
     return found
 
 

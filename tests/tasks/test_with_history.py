@@ -63,7 +63,7 @@ def test_past_angles_are_plain_numbers() -> None:
 
 
 def test_positions_need_velocities_to_tell() -> None:
-    plain = load_experiment("double_pendulum")
+    plain = load_experiment("double_pendulum").with_settings(velocities_alone=False)
     space = replace(plain.space, names=("a", "b", "c", "d"))
     with pytest.raises(ValueError, match=r"positions_only needs .* got a, b, c, d"):
         with_history(replace(plain, space=space), positions_only=True)

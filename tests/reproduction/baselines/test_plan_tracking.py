@@ -31,7 +31,8 @@ def fitted(experiment: Task) -> GPDynamics:
     u = actions.middle + actions.half_range * share
     dynamics = experiment.make_dynamics()
     drift = 0.1 * torch.sin(states) + 0.05 * u.sum(-1, keepdim=True)
-    dynamics.set_data(torch.cat([experiment.space.features(states), u], -1), drift)
+    learned = list(dynamics.known_part(experiment.space).learned)
+    dynamics.set_data(torch.cat([experiment.space.features(states), u], -1), drift[:, learned])
     return dynamics
 
 

@@ -43,7 +43,8 @@ CONTENT = {"search.trust_threshold": 1e6, "search.trust_what_is_sure": False}
 
 
 def swing_up(**changes: object) -> Task:
-    return replace(load_experiment("double_pendulum"), **changes)
+    task = load_experiment("double_pendulum").with_settings(velocities_alone=False)
+    return replace(task, **changes)
 
 
 def weak_swing_up(limit: float, samples: int) -> Task:

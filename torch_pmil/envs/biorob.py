@@ -55,8 +55,8 @@ class BioRobEnv(MujocoRobotEnv):
     Example:
         >>> env = BioRobEnv(seed=0)
         >>> rollout = env.rollout(18)
-        >>> rollout["next", "observation"].shape, rollout["next", "info", "hit"].any()
-        (torch.Size([18, 6]), tensor(False))
+        >>> rollout["next", "observation"].shape, rollout["next", "info", "hit"].dtype
+        (torch.Size([18, 6]), torch.bool)
     """
 
     _hit: Tensor

@@ -7,10 +7,6 @@ ARGS ?=
 # variables of this file; all others that are given on the command line are settings of pmil train
 OF_MAKE := PYTHON PIP ARGS TORCH_ARGS SOAK_RUNS SOAK_SEED MAKEFLAGS MAKEOVERRIDES -*-command-variables-*-
 GIVEN = $(foreach name,$(sort $(filter-out $(OF_MAKE),$(.VARIABLES))),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
-SEEDS := 0 1 2 3 4 5 6 7 8 9
-MORE_SEEDS := $(SEEDS:%=1%) $(SEEDS:%=2%)
-TASKS := double_pendulum double_pendulum_servo cart_pole gym_pendulum inverted_pendulum
-LEARNED := $(TASKS:%=results/tasks/%/summary.json)
 TORCH_ARGS ?=
 SOAK_RUNS ?= 100
 SOAK_SEED ?= 0
@@ -24,7 +20,7 @@ PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Ne
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce arms soak docs benchmark benchmark-steps dist test-dist test-wheel clean
+.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results evidence reproduce arms soak docs benchmark benchmark-steps dist test-dist test-wheel clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -62,15 +58,11 @@ lint: .venv/.installed  ## check style, formatting and types
 demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
 
-results: $(LEARNED)  ## learn five tasks with the seeds 0-9, the first with 0-29, resumable; -j2 for two at a time
+results: .venv/.installed  ## learn five tasks with the seeds 0-9, the first with 0-29, resumable
+	@.venv/bin/python -m reproduction.shipped_tasks
 
-$(foreach task,$(TASKS),$(eval results/tasks/$(task)/summary.json: $(SEEDS:%=runs/$(task)/seed_%/summary.json)))
-results/tasks/double_pendulum/summary.json: $(MORE_SEEDS:%=runs/double_pendulum/seed_%/summary.json)
-$(LEARNED):
-	@.venv/bin/pmil summarize $(^D) --out $(@D)
-
-runs/%/summary.json: | .venv/.installed
-	@.venv/bin/pmil train experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true
+evidence: .venv/.benchmark arms  ## make every result of other sources anew, resumable, in many hours; ARGS=--list says which
+	@PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m reproduction.evidence $(ARGS)
 
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
@@ -85,7 +77,7 @@ docs: .venv/.docs  ## build the documentation into docs/_build/html, its noteboo
 	@.venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html
 
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
-	@.venv/bin/python benchmarks/prediction.py $(ARGS)
+	@.venv/bin/python -m benchmarks.prediction $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
 	@.venv/bin/python -m benchmarks.gp_fit
 	@.venv/bin/python -m benchmarks.dimensions

@@ -1,25 +1,25 @@
 """The measures behind the diagnosis' thresholds, of runs that learned and runs that did not.
 
-    python benchmarks/diagnosis.py runs results/benchmarks/diagnosis/summary.json
+    python -m benchmarks.diagnosis
 
-reads every finished run below a folder, lets its policy run from fresh starts, and writes the
-measures of each run and, for the runs that learned, the value that comes nearest to each threshold.
-Runs that the summary holds already are not measured again.
+reads every finished run with the present sources, lets its policy run from fresh starts, and writes
+the measures of each run and, for the runs that learned, the value that comes nearest to each
+threshold.
 """
 
 from __future__ import annotations
 
-import json
-import shlex
-import sys
+import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
 
+from benchmarks.command_line import add_json, source_of
 from reproduction.ablation import variations
 from reproduction.learned import load_learned
 from reproduction.masses import SECOND_LINKS, with_second_link
+from reproduction.reproduction import root_of_runs
 from reproduction.robustness import varied_experiments
 from torch_pmil.files import write_json
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
@@ -32,7 +32,6 @@ from torch_pmil.runs.diagnosis.measures import (
     moved_fraction,
     saturated_fraction,
 )
-from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
@@ -109,26 +108,26 @@ def of_outcome(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> dict
     }
 
 
-def main(root: str, out: str) -> None:
+def main() -> None:
     """Measure, write, print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=Path, default=root_of_runs(), help="folder of the runs")
+    add_json(parser, "diagnosis")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    known = known_experiments()
-    runs = json.loads(Path(out).read_text())["runs"] if Path(out).exists() else []
-    before = {run["run"] for run in runs}
-    for path in sorted(Path(root).rglob("summary.json")):
-        folder = path.parent
-        if str(folder) not in before:
-            experiment = experiment_of(read_summary(folder)["experiment"], known)
-            runs.append(measured(folder, experiment))
-            print(runs[-1], flush=True)
+    known, runs = known_experiments(), []
+    for path in sorted(arguments.runs.rglob("summary.json")):
+        experiment = experiment_of(read_summary(path.parent)["experiment"], known)
+        runs.append(measured(path.parent, experiment))
+        print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
     nearest = {name: worst(name, learned) for name in (*SMALLEST, *LARGEST)}
     numbers = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned)}
     headline = {**numbers, **nearest}
-    source = provenance(shlex.join(["python", *sys.argv]))
-    write_json(Path(out), {**source, "starts": STARTS, "headline": headline, "runs": runs})
+    found = {**source_of("diagnosis"), "starts": STARTS, "headline": headline, "runs": runs}
+    write_json(arguments.json, found)
     print(headline)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

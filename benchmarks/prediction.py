@@ -5,7 +5,7 @@ exponentials alone. ``workloads.py`` and ``measure.py`` define what is measured 
 comes from its own process.
 
 Example:
-    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1
+    python -m benchmarks.prediction --sizes 50 100 200 400 --threads 1
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import importlib.util
 import json
 import os
 import platform
-import shlex
 import statistics
 import subprocess
 import sys
@@ -26,11 +25,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from benchmarks.command_line import source_of
 from benchmarks.workloads import make_problem, signal_to_noise
 from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
 from torch_pmil.plotting.style import GREEN, style
-from torch_pmil.runs.run_folder import provenance
 
 ROOT = Path(__file__).parents[1]
 OURS, FORMULAS, FITTED = "torch_pmil", "torch_pmil_formulas", "torch_pmil_fitted"
@@ -144,7 +143,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     """Everything that the JSON file holds."""
-    source = provenance(shlex.join(["python", *sys.argv]))
+    source = source_of("prediction")
     libraries, left_out = [FLOOR, OURS, FORMULAS, FITTED, RAW], []
     if importlib.util.find_spec("botorch"):
         libraries.append(TORCHRL)

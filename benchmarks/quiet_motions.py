@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.command_line import add_json
+from reproduction.reproduction import root_of_runs
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.files import write_json
@@ -68,7 +69,7 @@ def main() -> None:
     parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
     parser.add_argument("--trials", type=int, default=12)
-    parser.add_argument("--runs", type=Path, default=Path("runs/quiet_motions"))
+    parser.add_argument("--runs", type=Path, default=root_of_runs() / "quiet_motions")
     add_json(parser, "quiet_motions")
     arguments = parser.parse_args()
     if min(*arguments.seeds, arguments.trials - 1) < 0:

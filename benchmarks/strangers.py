@@ -30,16 +30,16 @@ import torch
 from benchmarks.absolute import with_fixed_criteria, with_limits
 from benchmarks.command_line import add_json, row_of_own_process, source_of
 from benchmarks.stranger_robots import STRANGERS
+from reproduction.reproduction import root_of_runs
 from torch_pmil import PMIL
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.files import write_json
-from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import count_trials
 from torch_pmil.tasks.registry import module_of
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 
-OUT, JOBS, LEARNED = Path("runs/strangers"), 2, 0.95
+OUT, JOBS, LEARNED = root_of_runs() / "strangers", 2, 0.95
 OUT_OF_TIME = "out of time"
 Made = Callable[[], tuple[Any, Any, dict[str, Any]]]  # robot, recordings, and what is said
 ROW = "{robot:>14} {seed:>5} {success:>8.0%} {experience_s:>9.4g} {trials:>7} {cpu_s:>6.0f}  {end}"
@@ -132,7 +132,7 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     learner = PMIL(robot, recordings, **{**said, **further})
     if variation in CHANGES:
         learner.task = CHANGES[variation](learner.task)
-    out = OUT / hash_of_sources() / _label(name, variation) / f"seed_{seed}"
+    out = OUT / _label(name, variation) / f"seed_{seed}"
     end = None
     try:
         learner.learn(seed=seed, out=out, resume=True)
@@ -173,15 +173,15 @@ def _stop_after(cpu_seconds: int) -> None:
 def _in_own_process(
     path: Path | None, patience: int | None, variation: str, name: str, seed: int
 ) -> dict[str, Any]:
-    """The row of a run in a process of its own, unless there is one of the same sources."""
-    sources = hash_of_sources()
+    """The row of a run in a process of its own, unless there is one."""
     kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
-    if kept.exists() and (row := json.loads(kept.read_text())).get("sources") == sources:
+    if kept.exists():
+        row: dict[str, Any] = json.loads(kept.read_text())
         return row
     given = ["--robots", str(path)] if path else []
     given += ["--patience", str(patience)] if patience else []
     words = ["--alone", *given, "--names", name, "--seeds", str(seed), "--variations", variation]
-    row = {**row_of_own_process("strangers", *words), "sources": sources}
+    row = row_of_own_process("strangers", *words)
     kept.parent.mkdir(parents=True, exist_ok=True)
     write_json(kept, row)
     print(ROW.format(**row), file=sys.stderr, flush=True)

@@ -15,13 +15,23 @@ from tqdm import tqdm
 from torch_pmil.files import in_words, read_json, write_json
 from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError, is_finished
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import Measurement
 
 # entries of each run's summary that results repeat
-OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")
+OF_RUN = (
+    "experiment",
+    "seed",
+    "command",
+    "date",
+    "commit",
+    "sources",
+    "experience_s",
+    "wall_seconds",
+)
 
 
 @dataclass(frozen=True)
@@ -83,10 +93,13 @@ class PaperExperiment:
     results: Callable[[Sequence[Path], bool], Results]
 
 
+def root_of_runs() -> Path:
+    """Folder of the runs with the present sources, which those of others never enter."""
+    return Path("runs", hash_of_sources())
+
+
 def learning_run(root: Path, experiment: Task, seed: int, trials: int = 12) -> Run:
     """A run of an experiment, in its folder below ``root``.
-
-    With ``runs`` as ``root`` it is the folder of ``pmil train``.
 
     Args:
         root: folder of runs.
@@ -104,9 +117,10 @@ def learning_run(root: Path, experiment: Task, seed: int, trials: int = 12) -> R
 
 
 def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Results]:
-    """Learn what has not been learned yet, then write numbers and figures to results/paper/NAME.
+    """Learn what is not learned yet, then write numbers and figures to results/paper/NAME.
 
-    A quick reproduction has runs and results of its own, in ``runs/quick`` and ``results/quick``.
+    Runs of other sources do not count. A quick reproduction has runs and results of its own, in
+    ``quick`` below the folder of the runs, and in ``results/quick``.
 
     Args:
         experiment: which one.
@@ -121,7 +135,7 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         OSError: the results cannot be written.
     """
     source = provenance(command)
-    runs = experiment.runs(Path("runs", *(("quick",) if quick else ())), quick)
+    runs = experiment.runs(Path(root_of_runs(), *(("quick",) if quick else ())), quick)
     finish(runs, command)
     results = experiment.results([run.out for run in runs], quick)
     out = Path("results", "quick" if quick else "paper", experiment.name)

@@ -1,7 +1,8 @@
 """The directive ``results``, a table of numbers, and the role ``result``, a text with numbers.
 
 Both take the name of a summary and templates, as :mod:`summaries` describes them. A number that the
-summary does not have is an error, with which the build fails.
+summary does not have is an error, with which the build fails. A page ends with the results that it
+quotes and earlier sources made.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from docutils.parsers.rst.directives import unchanged
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
-from summaries import fill, path_of, provenance, sources, table
+from summaries import fill, note_of_older, path_of, provenance, sources, table
 
 
 class ResultsDirective(SphinxDirective):
@@ -50,8 +51,15 @@ class ResultRole(SphinxRole):
             return [], [message]
 
 
+def add_note_of_older(app: Sphinx, page: str, source: list[str]) -> None:
+    """Called by Sphinx with the text of each page."""
+    if app.env.doc2path(page).suffix == ".md" and (note := note_of_older(source[0])):
+        source[0] += f"\n\n---\n\n{note}\n"
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
+    app.connect("source-read", add_note_of_older)
     app.add_directive("results", ResultsDirective)
     app.add_role("result", ResultRole())
     return {"parallel_read_safe": True, "parallel_write_safe": True}

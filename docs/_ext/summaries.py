@@ -9,6 +9,7 @@ list, ``{runs/seed=3/experience_s:.1f}`` that over the members with this seed, a
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from datetime import datetime
 from functools import cache
@@ -16,9 +17,12 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
+from torch_pmil.runs.sources import hash_of_sources
+
 RESULTS = Path(__file__).parents[2] / "results"
-# the time of commit 7d3d7fc: since then a run ends when its model promises success
-PRESENT_RULE = datetime.fromisoformat("2026-11-23T05:49:00+00:00")
+TABLE = re.compile(r"^```\{results\} (\S+)\n((?::.*\n)*)((?:[^`:].*\n)*)```$", re.MULTILINE)
+NUMBER = re.compile(r"\{result\}`(\S+)\s+([^`]+)`")
+FIGURE = re.compile(r"results/([\w/]+)/\w+\.(?:png|gif)")
 
 
 def path_of(name: str) -> Path:
@@ -110,6 +114,31 @@ def sources(source: str, rows: str = "", columns: str = "") -> list[str]:
     return list(dict.fromkeys(source.replace(place, key) for key, _ in _keys(columns or rows)))
 
 
+def options(text: str) -> dict[str, str]:
+    """The options of a table from its lines, as ``:rows: 25 | 50``."""
+    return dict(re.findall(r"^:(\w+): (.*)$", text, re.MULTILINE))
+
+
+def quoted(text: str) -> list[str]:
+    """Names of the summaries of a page's tables and numbers, and of those beside its figures."""
+    names = [
+        name
+        for source, given, _ in TABLE.findall(text)
+        for name in sources(source, **options(given))
+    ]
+    names += [name for name, _ in NUMBER.findall(text)]
+    names += [name for name in FIGURE.findall(text) if path_of(name).exists()]
+    return sorted(dict.fromkeys(names))
+
+
+def note_of_older(text: str) -> str:
+    """What a page says in its end of the results that it quotes and earlier sources made."""
+    older = [f"`results/{name}`" for name in quoted(text) if is_older(name)]
+    return (
+        f"Of earlier sources on this page (`make evidence`): {', '.join(older)}." if older else ""
+    )
+
+
 def _keys(text: str) -> list[tuple[str, str]]:
     parts = [part.partition(" = ") for part in text.split(" | ")]
     return [(key, label or key) for key, _, label in parts]
@@ -135,13 +164,12 @@ def provenance(name: str) -> str:
         f"torch_pmil {summary['versions']['torch_pmil']}",
         f"commit{'s' if len(commits) > 1 else ''} {', '.join(commits[:2])}{more}",
     ]
-    mark = " **Learned before the present rule for ending a run.**" if is_older(name) else ""
+    mark = " **Of earlier sources.**" if is_older(name) else ""
     return f"`results/{name}/summary.json`: {', '.join(parts)}.{mark}"
 
 
 def is_older(name: str) -> bool:
-    """Whether a summary is of runs that ended by the rule before the present one."""
+    """Whether other sources than the present made a summary, or one of its runs."""
     summary = summary_of(name)
-    dates = [run["date"] for run in summary.get("runs", []) if "date" in run]
-    first = min(map(datetime.fromisoformat, [summary["date"], *dates]))
-    return first < PRESENT_RULE and '"experience_s"' in json.dumps(summary)
+    runs = [run["sources"] for run in summary.get("runs", []) if "sources" in run]
+    return {summary.get("sources"), *runs} != {hash_of_sources()}

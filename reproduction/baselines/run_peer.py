@@ -17,6 +17,7 @@ import torch
 
 from reproduction.baselines.known_peers import PEERS, named
 from reproduction.baselines.peer_run import peer_run
+from reproduction.reproduction import root_of_runs
 from torch_pmil.runs.summaries import read_summary
 
 
@@ -28,7 +29,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--factor", type=int, default=1, help="times our experience")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="folder of runs")
+    parser.add_argument("--root", type=Path, default=root_of_runs(), help="folder of runs")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     experiment, peer = named(arguments.experiment), PEERS[arguments.peer]

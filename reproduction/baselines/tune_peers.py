@@ -31,7 +31,7 @@ from typing import Any
 from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer_run import peer_run
-from reproduction.reproduction import Run, finish
+from reproduction.reproduction import Run, finish, root_of_runs
 from torch_pmil.files import write_json
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import read_summary, success_over_experience
@@ -58,7 +58,7 @@ def main() -> None:
     given = parser.parse_args()
     peer, task = given.peer, given.task
     command = shlex.join(["python", "-m", "reproduction.baselines.tune_peers", *sys.argv[1:]])
-    source, runs = provenance(command), needed_runs(Path("runs", "tuning"), peer, task)
+    source, runs = provenance(command), needed_runs(root_of_runs() / "tuning", peer, task)
     finish([run for of_one in runs for run in of_one], command)
     measured = [
         {"settings": dict(settings), **success(of_one)}

@@ -2,7 +2,7 @@
 
 Example:
     python scripts/soak.py
-    python scripts/soak.py --runs 240 --against runs/soak_before
+    python scripts/soak.py --runs 240 --against results/soak/summary.json
 
 The runs go seed by seed through the tasks, each in a process of its own, as many at once as there
 are cores. What has ended is not learned again, and what was stopped goes on. A run that crashes,
@@ -21,6 +21,7 @@ from pathlib import Path
 import joblib
 from tqdm import tqdm
 
+from reproduction.reproduction import root_of_runs
 from reproduction.soak.comparison import Outcomes, compared, outcomes_in
 from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import Attempt, End, Job, Limits, attempt_all, has_ended
@@ -61,7 +62,7 @@ def options_of_command_line() -> argparse.Namespace:
     )
     parser.add_argument("--runs", type=int, default=100, help="number of runs (100)")
     parser.add_argument("--first-seed", type=int, default=0, help="of each task (0)")
-    parser.add_argument("--folder", type=Path, default=Path("runs/soak"), help="of the runs")
+    parser.add_argument("--folder", type=Path, default=root_of_runs() / "soak", help="of the runs")
     parser.add_argument("--out", type=Path, default=Path("results/soak"), help="of the results")
     parser.add_argument(
         "--against",

@@ -8,30 +8,28 @@ from pathlib import Path
 
 import pytest
 
+from reproduction.evidence import COMMANDS
 from tests.helpers.extensions import extension
 from tests.helpers.pages import PAGES
 
 summaries = extension("summaries")
 
 TEXTS = {page: page.read_text() for page in PAGES}
-TABLE = re.compile(r"^```\{results\} (\S+)\n((?::.*\n)*)((?:[^`:].*\n)*)```$", re.MULTILINE)
-NUMBER = re.compile(r"\{result\}`(\S+) ([^`]+)`")
-TABLES = [(page, *found) for page, text in TEXTS.items() for found in TABLE.findall(text)]
-NUMBERS = [(page, *found) for page, text in TEXTS.items() for found in NUMBER.findall(text)]
+TABLES = [(page, *found) for page, text in TEXTS.items() for found in summaries.TABLE.findall(text)]
+NUMBERS = [
+    (page, *found) for page, text in TEXTS.items() for found in summaries.NUMBER.findall(text)
+]
 FILES = [*summaries.RESULTS.rglob("summary.json")]
 
 
-def options(text: str) -> dict[str, str]:
-    return dict(re.findall(r"^:(\w+): (.*)$", text, re.MULTILINE))
+options = summaries.options
 
 
 def command_on(page: Path, name: str) -> str:
     """What makes a summary, as the page that shows its numbers says it."""
-    if name.startswith("tasks/"):
-        return "make results"
     if name.startswith("paper/") and page.stem == "results":
         return "python scripts/reproduce.py NAME"
-    return summaries.summary_of(name)["command"]
+    return COMMANDS[name]
 
 
 @pytest.fixture
@@ -99,16 +97,47 @@ def test_summaries_are_of_full_size_and_made_by_a_command_on_the_page() -> None:
         assert command_on(page, name) in re.sub(r"\s+", " ", TEXTS[page]), (page.name, name)
 
 
-def test_marked_are_the_results_whose_runs_ended_by_the_former_rule() -> None:
-    assert len(FILES) > 40
-    for path in FILES:
-        text, name = path.read_text(), path.parent.relative_to(summaries.RESULTS).as_posix()
-        if '"stop_reason": "the own' in text:  # three in a row end a run by the present rule too
-            assert ('two trials in a row succeeded"' in text) == summaries.is_older(name), name
-    assert summaries.provenance("paper/box") == (
-        "`results/paper/box/summary.json`: 10 runs, 2026-11-23, torch_pmil 0.2.0, commit 398dfdc. "
-        "**Learned before the present rule for ending a run.**"
-    )
+def leave(folder: Path, sources: str | None, of_run: str | None) -> None:
+    """A summary of one run, made by these sources."""
+    stamp = {"date": "2026-11-23T05:49:00+00:00", "commit": "398dfdc"}
+    run = stamp | ({"sources": of_run} if of_run else {})
+    versions = {"versions": {"torch_pmil": "0.2.0"}}
+    summary = stamp | versions | {"headline": {"rate": 1.0}, "runs": [run], "sources": sources}
+    folder.mkdir(parents=True)
+    (folder / "summary.json").write_text(json.dumps(summary))
+    summaries.summary_of.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("sources", "of_run", "older"),
+    [
+        ("present", "present", False),
+        ("present", None, False),
+        ("present", "other", True),
+        ("other", "other", True),
+        (None, None, True),
+    ],
+)
+def test_a_page_says_which_results_are_of_earlier_sources(
+    sources: str | None,
+    of_run: str | None,
+    older: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setattr(summaries, "RESULTS", tmp_path)
+    monkeypatch.setattr(summaries, "hash_of_sources", lambda: "present")
+    leave(tmp_path / "paper" / "another", sources, of_run)
+    said = "`results/paper/another/summary.json`: 2026-11-23, torch_pmil 0.2.0, commit 398dfdc."
+    assert summaries.provenance("paper/another") == said + " **Of earlier sources.**" * older
+    for page in (
+        "{result}`paper/another {rate:.0%}` of them",
+        "```{results} paper/<column>\n:columns: another\nrate: {rate:.0%}\n```",
+        "![a figure](../../results/paper/another/rates.png)",
+    ):
+        assert summaries.note_of_older(page) == (
+            "Of earlier sources on this page (`make evidence`): `results/paper/another`." * older
+        )
 
 
 def test_times_of_a_policys_step_are_those_on_its_page_and_below_a_millisecond() -> None:

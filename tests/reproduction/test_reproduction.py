@@ -12,9 +12,18 @@ import joblib
 import pytest
 
 from reproduction import reproduction
-from reproduction.reproduction import PaperExperiment, Results, Run, finish, learning_run, reproduce
+from reproduction.reproduction import (
+    PaperExperiment,
+    Results,
+    Run,
+    finish,
+    learning_run,
+    reproduce,
+    root_of_runs,
+)
 from tests.helpers.summaries import leave_summary
 from torch_pmil.plotting import Figure
+from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import load_experiment
 
@@ -57,7 +66,7 @@ def test_results_hold_headline_details_figures_and_where_all_comes_from() -> Non
     assert (summary["experiment"], summary["command"], summary["quick"]) == ("toy", COMMAND, False)
     assert (summary["headline"], summary["seeds"]) == ({"runs": 2}, [0, 1])
     runs = [(run["folder"], run["seed"], run["command"]) for run in summary["runs"]]
-    assert runs == [(f"runs/seed_{seed}", seed, COMMAND) for seed in (0, 1)]
+    assert runs == [(f"{root_of_runs()}/seed_{seed}", seed, COMMAND) for seed in (0, 1)]
     assert Path("results/paper/toy/empty.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -65,18 +74,36 @@ def test_a_quick_reproduction_touches_no_full_run_and_no_full_result() -> None:
     out, _ = reproduce(TOY, True, COMMAND)
     assert out == Path("results/quick/toy")
     left = sorted(str(path.parent) for path in Path().rglob("summary.json"))
-    assert left == ["results/quick/toy", "runs/quick/seed_0"]
+    assert left == ["results/quick/toy", f"{root_of_runs()}/quick/seed_0"]
     assert json.loads((out / "summary.json").read_text())["quick"] is True
 
 
 def test_finished_runs_are_not_run_again() -> None:
     reproduce(TOY, False, COMMAND)
-    before = Path("runs/seed_0/summary.json").stat().st_mtime_ns
-    Path("runs/seed_1/summary.json").unlink()
-    Path("runs/seed_1").rmdir()
+    first, second = (root_of_runs() / f"seed_{seed}/summary.json" for seed in (0, 1))
+    before = first.stat().st_mtime_ns
+    second.unlink()
+    second.parent.rmdir()
     reproduce(TOY, False, "another")
-    assert Path("runs/seed_0/summary.json").stat().st_mtime_ns == before
-    assert json.loads(Path("runs/seed_1/summary.json").read_text())["command"] == "another"
+    assert first.stat().st_mtime_ns == before
+    assert json.loads(second.read_text())["command"] == "another"
+
+
+def test_runs_of_other_sources_are_left_alone_and_do_not_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reproduce(TOY, False, COMMAND)
+    monkeypatch.setattr(reproduction, "hash_of_sources", lambda: "other")
+    reproduce(TOY, False, "another")
+    left = {
+        str(path.parent): json.loads(path.read_text())["command"]
+        for path in Path("runs").rglob("summary.json")
+    }
+    assert left == {
+        f"{root_of_runs().parent / sources}/seed_{seed}": command
+        for sources, command in ((hash_of_sources(), COMMAND), ("other", "another"))
+        for seed in (0, 1)
+    }
 
 
 def test_failed_runs_are_named_after_the_others_were_run() -> None:

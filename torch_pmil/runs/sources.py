@@ -1,4 +1,7 @@
-"""By which sources a result was made: a hash that docstrings and lines of comments leave alone."""
+"""By which sources a result was made: a hash that docstrings and lines of comments leave alone.
+
+Commands and figures, which show what was learned, do not count either.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
+SHOWING = {"cli", "plotting"}
 # statements that are a string alone, lines of comments and empty lines; other strings are code
 TEXT = r'"""(?:(?!""")[\s\S])*"""'
 NO_CODE = re.compile(rf"^[ \t]*(?:r?{TEXT}[ \t]*(?:#.*)?|#.*)?\n|(?P<code>{TEXT})", re.MULTILINE)
@@ -15,10 +19,13 @@ NO_CODE = re.compile(rf"^[ \t]*(?:r?{TEXT}[ \t]*(?:#.*)?|#.*)?\n|(?P<code>{TEXT}
 
 @cache
 def hash_of_sources(package: Path = PACKAGE) -> str:
-    """Twelve hexadecimal digits of the code of all modules in a folder."""
+    """Twelve hexadecimal digits of the code of the modules in a folder."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode())
+        name = path.relative_to(package)
+        if name.parts[0] in SHOWING:
+            continue
+        digest.update(name.as_posix().encode())
         digest.update(code_of(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:12]
 

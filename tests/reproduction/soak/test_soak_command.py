@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from reproduction.reproduction import root_of_runs
 from reproduction.soak import __main__ as command
 from reproduction.soak.processes import Job
 from reproduction.soak.results import MEASURED, REPLAYED
@@ -41,7 +42,7 @@ def leave_runs(root: Path, experience_s: float) -> None:
 def test_results_of_runs_that_have_ended(
     script: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    leave_runs(Path("runs/soak"), 10.0)
+    leave_runs(root_of_runs() / "soak", 10.0)
     leave_runs(Path("before"), 12.5)
     script("--runs", 4, "--first-seed", 5, "--against", "before")
     assert capsys.readouterr().out == (
@@ -59,10 +60,10 @@ def test_results_of_runs_that_have_ended(
 
 
 def test_runs_that_did_not_end_are_an_error_that_names_them(script: Script) -> None:
-    leave_runs(Path("runs/soak"), 10.0)
+    leave_runs(root_of_runs() / "soak", 10.0)
     with pytest.raises(SystemExit) as stop:
         script("--runs", 5, "--first-seed", 5)
-    folder = "runs/soak/handwriting_Angle_double_pendulum/seed_5"
+    folder = f"{root_of_runs()}/soak/handwriting_Angle_double_pendulum/seed_5"
     assert stop.value.code == f"error: 1 of 5 runs did not end: {folder}"
     failed = json.loads(Path("results/soak/summary.json").read_text())["failed"][-1]
     assert (failed["folder"], failed["said"]) == (folder, "not begun")

@@ -1,8 +1,9 @@
 """Numbers by which a run that learned differs from one that did not, and their thresholds.
 
 A threshold lies beyond what was measured of any run that learned; the comments give the nearest
-value in ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``). ``executed``
-rollouts are x_0..x_T, (N, T + 1, D), and ``predicted`` their marginals at t = 1..T, mean (T, D).
+value in ``results/benchmarks/diagnosis/summary.json`` (``python -m benchmarks.diagnosis``).
+``executed`` rollouts are x_0..x_T, (N, T + 1, D), and ``predicted`` their marginals at t = 1..T,
+mean (T, D).
 """
 
 from __future__ import annotations

@@ -1,0 +1,126 @@
+"""All results of the repository anew: those that other sources made, one command after the other.
+
+Example:
+    make evidence
+    make evidence ARGS=--list
+
+prints which results are of other sources (a hash of the package's code, see ``sources`` in each
+summary) and runs the commands that make them, on all cores. What was learned with the present
+sources is not learned again, and what was stopped goes on, so a second call does nothing. A command
+that fails is named in the end, and stops no other. ``--list`` runs none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from reproduction import PAPER, shipped_tasks
+from torch_pmil.files import read_json
+from torch_pmil.runs.sources import hash_of_sources
+
+MIB = 2**20
+MOST_BYTES = 64 * MIB  # of a summary
+BENCHMARKS = (  # timings first, while nothing else runs; the last reads the runs of all others
+    "prediction",
+    "gp_fit --sizes 100 200 300",
+    "kernels",
+    "dimensions",
+    "targets",
+    "tied",
+    "sparse",
+    "torchrl_model",
+    "policy_step",
+    "run",
+    "samples",
+    "past_evidence",
+    "quiet_motions --tasks double_pendulum gym_pendulum",
+    "front_door",
+    "failures",
+)
+STRANGERS = "python -m benchmarks.strangers"
+THEIRS = "--robots ../shared/strangers/robots.py --seeds 110-112"
+CHANGES = "',no past,fixed criteria,limits,own step'"
+COMMANDS: dict[str, str] = {  # by the folder of the result, in order
+    **{f"benchmarks/{words.split()[0]}": f"python -m benchmarks.{words}" for words in BENCHMARKS},
+    **{f"tasks/{name}": shipped_tasks.COMMAND for name in shipped_tasks.SEEDS},
+    **{f"paper/{name}": f"python scripts/reproduce.py {name}" for name in PAPER},
+    "soak": "python scripts/soak.py --runs 240",
+    "benchmarks/own_strangers": f"{STRANGERS} --seeds 100 "
+    "--json results/benchmarks/own_strangers/summary.json",
+    "benchmarks/strangers": f"{STRANGERS} {THEIRS} "
+    "--json results/benchmarks/strangers/summary.json",
+    "benchmarks/ablation": f"{STRANGERS} {THEIRS} --variations {CHANGES} --patience 250 "
+    "--json results/benchmarks/ablation/summary.json",
+    "benchmarks/diagnosis": "python -m benchmarks.diagnosis",
+}
+
+
+def sources_of(name: str, results: Path) -> str:
+    """By which sources a result was made: their hash, or why it has none."""
+    path = results / name / "summary.json"
+    if not path.exists():
+        return "missing"
+    return str(read_json(path, most=MOST_BYTES).get("sources", "unknown"))
+
+
+def old_results(results: Path) -> dict[str, str]:
+    """The results that the present sources did not make, in order, with what made them."""
+    made = {name: sources_of(name, results) for name in COMMANDS}
+    return {name: sources for name, sources in made.items() if sources != hash_of_sources()}
+
+
+def run(command: str) -> bool:
+    """Run a command of the repository, and say whether it ended well."""
+    first, *words = shlex.split(command)
+    program = sys.executable if first == "python" else first
+    # each process of a command computes with one thread: more would wait for each other
+    threads = {"OMP_NUM_THREADS": "1"} | dict(os.environ)
+    return subprocess.run([program, *words], env=threads, check=False).returncode == 0
+
+
+def run_all(old: Mapping[str, str]) -> list[str]:
+    """Run what makes these results, each command once; return those that failed."""
+    failed = []
+    for command in dict.fromkeys(COMMANDS[name] for name in old):
+        begun = time.monotonic()
+        ended = "ended" if run(command) else "failed"
+        print(f"{ended} after {(time.monotonic() - begun) / 60:.0f} min: {command}", flush=True)
+        failed += [command] if ended == "failed" else []
+    return failed
+
+
+def main() -> None:
+    """Print what is old, make it anew; the exit code is 1 if a command failed."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0],
+        epilog=__doc__.partition("\n\n")[2],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--list", action="store_true", help="say what is old, and run nothing")
+    arguments, old = parser.parse_args(), old_results(Path("results"))
+    for name, sources in old.items():
+        print(f"{name:32} {sources:12}  {COMMANDS[name]}")
+    print(
+        f"{len(old)} of {len(COMMANDS)} results are not of the sources {hash_of_sources()}",
+        flush=True,
+    )
+    if arguments.list:
+        return
+    try:
+        failed = run_all(old)
+    except KeyboardInterrupt:
+        print("\nstopped; go on with: make evidence", file=sys.stderr)
+        sys.exit(130)
+    if failed:
+        sys.exit(f"error: {len(failed)} commands failed: {'; '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -43,6 +43,10 @@ def test_numbers_are_those_of_the_summaries() -> None:
     assert [(row, end) for row, end in zip(rows, ends, strict=True) if not row.endswith(end)] == []
 
 
+def test_it_says_that_some_results_are_of_earlier_sources_if_some_are() -> None:
+    assert ("earlier sources" in " ".join(README.split())) is any(map(summaries.is_older, ROWS))
+
+
 def test_it_is_short_and_its_twelve_lines_are_those_of_the_example() -> None:
     assert len(README.split()) <= 700 and EXAMPLE.endswith(LINES)
     assert len([line for line in LINES.splitlines() if line.strip(" )")]) <= 12

@@ -27,8 +27,10 @@ from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import make_problem
 from reproduction.plots.calibration import plot_success_calibration
 from reproduction.replayed_runs import Forecast, drawn
+from torch_pmil.envs.rollouts import states_of
 from torch_pmil.files import write_json
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.model.sampled_rollouts import (
@@ -143,15 +145,15 @@ def scores(
         trainer.initial, policy, functions, SAMPLES, *others, torch.Generator().manual_seed(2)
     )
     steps = sample_rollouts(trainer.initial, *given, SAMPLES, torch.Generator().manual_seed(1))
-    seen = rollouts["next", "observation"]
+    seen = states_of(rollouts)
     sampled = consistent[:, 1:]
     try:
-        moments = coverage(loss.predict_states(trainer.initial), seen)
+        moments = two_sigma_coverage(loss.predict_states(trainer.initial), seen)
     except PredictionError:
         moments = None
     spread = Gaussian(sampled.mean(0), torch.diag_embed(sampled.var(0)))
     result: dict[str, float | None] = {
-        "coverage_samples": coverage(spread, seen),
+        "coverage_samples": two_sigma_coverage(spread, seen),
         "coverage_moments": moments,
     }
     for name, states in zip(PREDICTORS, (consistent, steps), strict=True):
@@ -171,11 +173,6 @@ def calibration(policies: Sequence[Mapping[str, Any]]) -> Figure:
             for name, title in PREDICTORS.items()
         }
     )
-
-
-def coverage(predicted: Gaussian, seen: Tensor) -> float:
-    """Share of states (N, T, D) within two standard deviations of predicted marginals."""
-    return float(((seen - predicted.mean).abs() <= 2 * predicted.std).double().mean())
 
 
 if __name__ == "__main__":

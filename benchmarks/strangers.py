@@ -66,7 +66,7 @@ def main() -> None:
     )
     parser.add_argument("--robots", type=Path, help="file with other robots")
     parser.add_argument("--names", default="", help="of the robots, by commas; all by default")
-    parser.add_argument("--seeds", default="100-102", help="of the runs, FIRST-LAST")
+    parser.add_argument("--seeds", default="100", help="of the runs, FIRST-LAST")
     parser.add_argument(
         "--variations",
         default="",
@@ -74,7 +74,7 @@ def main() -> None:
     )
     parser.add_argument("--patience", type=int, help="CPU seconds after which a run is stopped")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
-    add_json(parser, "strangers")
+    add_json(parser, "own_strangers")
     arguments = parser.parse_args()
     known = robots(arguments.robots)
     names = arguments.names.split(",") if arguments.names else list(known)

@@ -52,8 +52,7 @@ COMMANDS: dict[str, str] = {  # by the folder of the result, in order
     **{f"tasks/{name}": shipped_tasks.COMMAND for name in shipped_tasks.SEEDS},
     **{f"paper/{name}": f"python scripts/reproduce.py {name}" for name in PAPER},
     "soak": "python scripts/soak.py --runs 240",
-    "benchmarks/own_strangers": f"{STRANGERS} --seeds 100 "
-    "--json results/benchmarks/own_strangers/summary.json",
+    "benchmarks/own_strangers": STRANGERS,
     "benchmarks/strangers": f"{STRANGERS} {THEIRS} "
     "--json results/benchmarks/strangers/summary.json",
     "benchmarks/ablation": f"{STRANGERS} {THEIRS} --variations {CHANGES} --patience 250 "

@@ -23,6 +23,7 @@ from reproduction.baselines.cloning import (
 from reproduction.learned import load_learned, measured_success, remeasured
 from reproduction.plots.success import plot_success_over_mass
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.rollouts import states_of
@@ -83,11 +84,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     ]
     departures = np.reshape(distances, ours.T.shape)
     pairs = list(record_pairs(sets))
-    clones = [clone_double_pendulum(*pair) for pair in pairs]
-    cloned = [
-        [measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones
-    ]
-    cloning = np.array(cloned)
+    cloning = cloned_success([clone_double_pendulum(*pair) for pair in pairs], robots, starts)
     peaks = peak_tracking_torques(*pairs[0], SECOND_LINKS).numpy()
     limit = robots[0].actions.high.max().item()
     difference = link_positions(pairs[0][0]) - shipped_demonstrations("double_pendulum").positions
@@ -112,6 +109,18 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         SECOND_LINKS, {"ours": ours, "behavioural cloning": cloning}, peaks, limit, DEMONSTRATED
     )
     return Results(headline, {"masses": figure}, details)
+
+
+def cloned_success(
+    clones: Sequence[StatePolicy], robots: Sequence[Task], starts: int
+) -> np.ndarray:
+    """Success rates (clones, robots) of cloned policies."""
+    return np.array(
+        [
+            [measured_success(clone, robot, starts, START_SEED) for robot in robots]
+            for clone in clones
+        ]
+    )
 
 
 def departure(states: Tensor, robot: Task) -> float:

@@ -46,8 +46,10 @@ def own_signature(
     returns: str | None,
 ) -> tuple[str, str | None] | None:
     """The signature of ``__init__`` in place of that of the metaclass of TorchRL's environments,
-    losses and modules.
+    losses and modules; and one that Sphinx can read where a field's default is made anew.
     """
+    if signature is not None and "<factory>" in signature:
+        return signature.replace("<factory>", "..."), returns
     if what != "class" or signature != "(*args, **kwargs)" or not inspect.isfunction(obj.__init__):
         return None
     return stringify_signature(

@@ -27,7 +27,7 @@ options = summaries.options
 
 def command_on(page: Path, name: str) -> str:
     """What makes a summary, as the page that shows its numbers says it."""
-    if name.startswith("paper/") and page.stem == "results":
+    if name.startswith("paper/") and page.stem == "experiments":
         return "python scripts/reproduce.py NAME"
     return COMMANDS[name]
 

@@ -51,7 +51,7 @@ class PILCO(Learner):
     Args:
         env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
             bounded continuous actions, or the name of one of gymnasium, or a MujocoRobot.
-        cost: what is minimised: a :class:`SaturatingCost`, a :class:`QuadraticCost`, or a function
+        cost: what is minimised: a :class:`SaturatingCost`, a quadratic one, or a function
             of states and actions.
         horizon: number of actions of a motion.
         control_period: seconds between two actions.

@@ -46,7 +46,7 @@ class ExpectedCost(TrajectoryLoss):
         return self._horizon
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """How unsure each predicted marginal is (:meth:`spread`), (*batch, horizon).
+        """How unsure each predicted marginal is (:meth:`TrajectoryLoss.spread`), (*batch, horizon).
 
         A cost is high far from the goal, however sure the prediction is.
         """

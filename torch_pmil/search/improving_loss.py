@@ -34,7 +34,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
     .. math:: \sum_t c_t + w \, \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))
 
     Each evaluation of the sum predicts twice. A search trusts its prediction where this is sure
-    (:meth:`spread`), since a better motion differs from the demonstrated one.
+    (:meth:`TrajectoryLoss.spread`), since a better motion differs from the demonstrated one.
 
     Args:
         actor_network, dynamics, space, demonstrated, noise_std, options: as in
@@ -107,7 +107,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         return self._with_cost("cross_entropy_per_step", imitation, initial, horizon)
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each step for each observed entry, then :meth:`spread`; (*batch, horizon)."""
+        """KL of each step for each observed entry, then :meth:`TrajectoryLoss.spread`."""
         if self.improving:
             return self.spread(initial, horizon)
         return super().step_loss_for_trust(initial, horizon)

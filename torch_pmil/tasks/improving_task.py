@@ -66,7 +66,8 @@ def improving(task: Task, cost: Cost | CostFunction, **settings: Any) -> Improvi
 
     Args:
         task: with one target.
-        cost: a :class:`Cost`, or a function as in :class:`FunctionCost`.
+        cost: as that of :class:`~torch_pmil.tasks.cost_task.CostTask`, or a function, as in
+            :class:`~torch_pmil.search.target_costs.FunctionCost`.
         settings: ``imitation_weight``, if it is not the default.
 
     Raises:

@@ -20,6 +20,9 @@ STAR = re.compile(
 )  # shapes as (*batch, D); a star would begin emphasis
 
 
+ARGUMENTS = re.compile(r"\[[^\[\]]*,[^\[\]]*\]")
+
+
 def escape_shapes(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
@@ -46,10 +49,12 @@ def own_signature(
     returns: str | None,
 ) -> tuple[str, str | None] | None:
     """The signature of ``__init__`` in place of that of the metaclass of TorchRL's environments,
-    losses and modules; and one that Sphinx can read where a field's default is made anew.
+    losses and modules.
+
+    Sphinx splits one with ``<factory>`` at each comma, so types lose arguments that have commas.
     """
     if signature is not None and "<factory>" in signature:
-        return signature.replace("<factory>", "..."), returns
+        return ARGUMENTS.sub("", signature), returns
     if what != "class" or signature != "(*args, **kwargs)" or not inspect.isfunction(obj.__init__):
         return None
     return stringify_signature(

@@ -135,6 +135,25 @@ def test_trial_keeps_what_keeps_the_promise_or_costs_less(
     assert not search.refitted
 
 
+@pytest.mark.parametrize(("promised", "searched"), [(0.49, 0), (0.5, 1), (None, 1)])
+def test_trial_searches_the_loss_only_where_samples_succeed_from_half_the_starts(
+    monkeypatch: pytest.MonkeyPatch, promised: float | None, searched: int
+) -> None:
+    loss, found, searches = integrator(), trial_search.search_policy, list[int]()
+
+    def counted(*arguments: object, **options: object) -> object:
+        searches.append(1)
+        return found(*arguments, **options)
+
+    monkeypatch.setattr(trial_search, "search_policy", counted)
+    promise = None if promised is None else Scripted(promised)
+    settings = SearchSettings(2, 2, 2, sample_steps=3)
+    search = TrialSearch(settings, lambda: random_policy(Draws(0)), generator(), promise)
+    result = search.run(loss, INITIAL, None)
+    assert len(searches) == searched and search.result is result
+    assert (result.evaluations == 3) is not bool(searched)
+
+
 def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None:
     loss = integrator()
     units = sample_search._units(loss, INITIAL, generator())

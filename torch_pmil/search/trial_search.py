@@ -37,6 +37,7 @@ PROGRESS = 0.8  # a search should bring the loss below this fraction of the smal
 STEADYINGS = 8  # of one policy, while it gets no worse
 ALONE = 500  # steps of a search on samples that nothing follows
 HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
+PROMISING = 0.5  # that of a policy from samples, from which the loss is searched
 
 
 class TrialSearch:
@@ -54,10 +55,11 @@ class TrialSearch:
     searches take as many evaluations as the others, at most.
 
     With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
-    first, from the last policy, and then the loss from there. The second policy is kept if it keeps
-    the promise, else the one of less expected cost. Where policy, model or cost has no moments in
-    closed form, the search on samples is the whole search, and goes on from a random policy if it
-    led to nothing better than before.
+    first, from the last policy. Only if success is then predicted from half the starts, the loss is
+    searched from there: before, moments are those of trajectories that part. The second policy is
+    kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
+    has no moments in closed form, the search on samples is the whole search, and goes on from a
+    random policy if it led to nothing better than before.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -135,8 +137,10 @@ class TrialSearch:
     def _begun_on_samples(
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
-        """Search on samples, then the loss, and keep the better of the two policies."""
-        first = self._on_samples(loss, initial, self.settings.sample_steps)
+        """Search on samples, then the loss if they promise much, and keep the better policy."""
+        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps)
+        if self.promise is not None and self.promise.predicted(loss, initial).rate < PROMISING:
+            return first
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
         expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
         second = search()

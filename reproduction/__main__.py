@@ -5,7 +5,7 @@ Example:
     python scripts/reproduce.py figure6 --quick
 
 What was learned before is not learned again, and what was stopped goes on. A quick reproduction
-takes minutes, and has runs and results of its own, in runs/quick and results/quick.
+takes minutes, and has results of its own, in results/quick, from smaller runs.
 """
 
 from __future__ import annotations

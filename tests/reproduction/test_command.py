@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from reproduction import PAPER
-from reproduction.reproduction import PaperExperiment, Results, Run
+from reproduction.reproduction import PaperExperiment, Results, Run, root_of_runs
 from tests.helpers.run_script import run_script
 from torch_pmil.plotting import Figure
 
@@ -75,7 +75,7 @@ def test_unknown_name_is_refused_and_help_says_what_each_experiment_shows(
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (OSError("disk full"), "error: runs/quick/seed_0: disk full", ""),
+        (OSError("disk full"), f"error: {root_of_runs()}/quick/seed_0: disk full", ""),
         (
             KeyboardInterrupt(),
             130,

@@ -192,7 +192,8 @@ def test_what_is_drawn_in_a_browser_is_what_is_saved(
     of_strokes = saved.positions, recorded.times, recorded.values, strokes
     for demonstration, times, values, stroke in zip(*of_strokes, strict=True):
         line = stroke[:, 1:].double()
-        assert off_the_line(values, line) < 2 * pixel and len(values) > 20
+        assert off_the_line(values, line) < 2 * pixel
+        assert len(values) > 0.9 * len(line)  # a browser may merge moves of one frame
         assert abs(times[-1] - stroke[-1, 0]) < 0.1
         assert (values[[0, -1]] - line[[0, -1]]).abs().max() < 2 * pixel
         assert off_the_line(demonstration, values) < 5 * pixel

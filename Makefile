@@ -62,7 +62,7 @@ results: .venv/.installed  ## learn five tasks with the seeds 0-9, the first wit
 	@.venv/bin/python -m reproduction.shipped_tasks
 
 evidence: .venv/.benchmark arms  ## make every result of other sources anew, resumable, in many hours; ARGS=--list says which
-	@PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m reproduction.evidence $(ARGS)
+	@.venv/bin/python -m reproduction.evidence $(ARGS)
 
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)

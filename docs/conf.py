@@ -41,11 +41,12 @@ nitpick_ignore_regex = [
     for name in (
         # their objects are not ours
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        r"reproduction\.runge_kutta\.State|examples|numba|abc|argparse|collections|enum|functools|http|os|pathlib|types|typing",
+        "examples|numba|abc|argparse|collections|enum|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
         "nn|np|Path|Tensor|TensorDictModule|EnvBase|CheckpointError",
         "Array[1-5]?|Address|TypeAliasForwardRef",
         # type variables and a private class
+        r"reproduction\.runge_kutta\.State",
         r"torch_pmil\.(control\.state_policy\.State|tasks\.own_parts\.T|demonstrations\.turns\.Shown|model\.compiled\.building\.Function|search\.trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
     )
 ]

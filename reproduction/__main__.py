@@ -15,8 +15,7 @@ import shlex
 import sys
 
 from reproduction import PAPER
-from reproduction.reproduction import reproduce
-from torch_pmil.files import in_words
+from reproduction.reproduction import ends_in_one_line, reproduce
 
 
 def main() -> None:
@@ -33,13 +32,8 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     command = shlex.join(["python", "scripts/reproduce.py", *sys.argv[1:]])
-    try:
+    with ends_in_one_line(command):
         out, results = reproduce(PAPER[arguments.name], arguments.quick, command)
-    except KeyboardInterrupt:
-        print(f"\nstopped; go on with: {command}", file=sys.stderr)
-        sys.exit(130)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"error: {in_words(error)}")
     for name, value in results.headline.items():
         print(f"{name}: {'never' if value is None else f'{value:.4g}'}")
     print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in results.figures)}")

@@ -13,7 +13,6 @@ that fails is named in the end, and stops no other. ``--list`` runs none.
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import subprocess
 import sys
@@ -22,12 +21,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from reproduction import PAPER, shipped_tasks
+from reproduction.reproduction import ends_in_one_line
 from torch_pmil.files import read_json
 from torch_pmil.runs.sources import hash_of_sources
 
-MIB = 2**20
-MOST_BYTES = 64 * MIB  # of a summary
-BENCHMARKS = (  # timings first, while nothing else runs; the last reads the runs of all others
+BENCHMARKS = (  # timings first
     "prediction",
     "gp_fit --sizes 100 200 300",
     "kernels",
@@ -57,6 +55,7 @@ COMMANDS: dict[str, str] = {  # by the folder of the result, in order
     "--json results/benchmarks/strangers/summary.json",
     "benchmarks/ablation": f"{STRANGERS} {THEIRS} --variations {CHANGES} --patience 250 "
     "--json results/benchmarks/ablation/summary.json",
+    # reads the runs of all others
     "benchmarks/diagnosis": "python -m benchmarks.diagnosis",
 }
 
@@ -66,7 +65,7 @@ def sources_of(name: str, results: Path) -> str:
     path = results / name / "summary.json"
     if not path.exists():
         return "missing"
-    return str(read_json(path, most=MOST_BYTES).get("sources", "unknown"))
+    return str(read_json(path).get("sources", "unknown"))
 
 
 def old_results(results: Path) -> dict[str, str]:
@@ -79,9 +78,7 @@ def run(command: str) -> bool:
     """Run a command of the repository, and say whether it ended well."""
     first, *words = shlex.split(command)
     program = sys.executable if first == "python" else first
-    # each process of a command computes with one thread: more would wait for each other
-    threads = {"OMP_NUM_THREADS": "1"} | dict(os.environ)
-    return subprocess.run([program, *words], env=threads, check=False).returncode == 0
+    return subprocess.run([program, *words], check=False).returncode == 0
 
 
 def run_all(old: Mapping[str, str]) -> list[str]:
@@ -112,11 +109,8 @@ def main() -> None:
     )
     if arguments.list:
         return
-    try:
+    with ends_in_one_line("make evidence"):
         failed = run_all(old)
-    except KeyboardInterrupt:
-        print("\nstopped; go on with: make evidence", file=sys.stderr)
-        sys.exit(130)
     if failed:
         sys.exit(f"error: {len(failed)} commands failed: {'; '.join(failed)}")
 

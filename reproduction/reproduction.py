@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -93,6 +95,18 @@ class PaperExperiment:
     results: Callable[[Sequence[Path], bool], Results]
 
 
+@contextmanager
+def ends_in_one_line(command: str) -> Iterator[None]:
+    """End the process with one line where what it does fails, or is interrupted (code 130)."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"\nstopped; go on with: {command}", file=sys.stderr)
+        sys.exit(130)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        sys.exit(f"error: {in_words(error)}")
+
+
 def root_of_runs() -> Path:
     """Folder of the runs with the present sources, which those of others never enter."""
     return Path("runs", hash_of_sources())
@@ -135,7 +149,8 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         OSError: the results cannot be written.
     """
     source = provenance(command)
-    runs = experiment.runs(Path(root_of_runs(), *(("quick",) if quick else ())), quick)
+    root = root_of_runs()
+    runs = experiment.runs(root / "quick" if quick else root, quick)
     finish(runs, command)
     results = experiment.results([run.out for run in runs], quick)
     out = Path("results", "quick" if quick else "paper", experiment.name)

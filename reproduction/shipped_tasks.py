@@ -6,12 +6,10 @@ sources is not learned again, and what was stopped goes on.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from reproduction.reproduction import finish, learning_run, root_of_runs
+from reproduction.reproduction import ends_in_one_line, finish, learning_run, root_of_runs
 from torch_pmil.cli.summarize import summarize
-from torch_pmil.files import in_words
 from torch_pmil.tasks.registry import load_experiment
 
 SEEDS = {
@@ -31,15 +29,10 @@ def main() -> None:
         name: [learning_run(root, load_experiment(name), seed) for seed in seeds]
         for name, seeds in SEEDS.items()
     }
-    try:
+    with ends_in_one_line(COMMAND):
         finish([run for of_task in runs.values() for run in of_task], COMMAND)
         for name, of_task in runs.items():
             summarize([run.out for run in of_task], Path("results/tasks", name), COMMAND)
-    except KeyboardInterrupt:
-        print(f"\nstopped; go on with: {COMMAND}", file=sys.stderr)
-        sys.exit(130)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"error: {in_words(error)}")
 
 
 if __name__ == "__main__":

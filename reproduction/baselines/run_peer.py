@@ -3,7 +3,7 @@
 Example:
     python -m reproduction.baselines.run_peer bco double_pendulum --seed 100
 
-The run lies below runs/, as those of ``pmil train``.
+The run lies below runs/SOURCES, as those of the studies.
 """
 
 from __future__ import annotations

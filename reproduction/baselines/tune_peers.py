@@ -14,7 +14,8 @@ discriminator is to see the match space; on handwriting, with seed 100, that mor
 iterations of the ensemble's planner are worth a try. Particles have half the experience of the
 others, since their searches take longest.
 
-What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in runs/tuning.
+What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in
+runs/SOURCES/tuning.
 """
 
 from __future__ import annotations

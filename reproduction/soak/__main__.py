@@ -21,13 +21,13 @@ from pathlib import Path
 import joblib
 from tqdm import tqdm
 
-from reproduction.reproduction import root_of_runs
+from reproduction.reproduction import ends_in_one_line, root_of_runs
 from reproduction.soak.comparison import Outcomes, compared, outcomes_in
 from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import Attempt, End, Job, Limits, attempt_all, has_ended
 from reproduction.soak.results import Row, details_of, headline_of, row_of
 from reproduction.soak.tasks import SoakRun, first_runs
-from torch_pmil.files import in_words, write_json
+from torch_pmil.files import write_json
 from torch_pmil.plotting import save_figure
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import read_summary
@@ -38,18 +38,13 @@ def main() -> None:
     options = options_of_command_line()
     command = shlex.join(["python", "scripts/soak.py", *sys.argv[1:]])
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+    with ends_in_one_line(command):
         theirs = outcomes_in(options.against) if options.against else {}
         source = provenance(command)
         runs = first_runs(options.runs, options.first_seed, options.folder)
         learn(runs)
         rows = rows_of(runs)
         write(options.out, rows, theirs, source)
-    except KeyboardInterrupt:
-        print(f"\nstopped; go on with: {command}", file=sys.stderr)
-        sys.exit(130)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"error: {in_words(error)}")
     report(options.out, rows)
 
 

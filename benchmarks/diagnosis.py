@@ -4,7 +4,8 @@
 
 reads every finished run with the present sources, lets its policy run from fresh starts, and writes
 the measures of each run and, for the runs that learned, the value that comes nearest to each
-threshold.
+threshold. Runs of other experiments than the shipped ones, their ablation and their varied robots
+are counted as left out.
 """
 
 from __future__ import annotations
@@ -54,12 +55,12 @@ def known_experiments() -> dict[str, Task]:
     return {experiment.name: experiment for experiment in [*varied, *shipped]}
 
 
-def experiment_of(name: str, known: dict[str, Task]) -> Task:
-    """The experiment of a run."""
+def experiment_of(name: str, known: dict[str, Task]) -> Task | None:
+    """The experiment of a run; None if it is not among those that are known here."""
     if name.startswith("handwriting_") and name not in known:
         _, shape, robot = name.split("_", 2)
         known[name] = load_experiment("handwriting", None, shape, robot)
-    return known[name]
+    return known.get(name)
 
 
 @torch.no_grad()
@@ -115,15 +116,18 @@ def main() -> None:
     add_json(parser, "diagnosis")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    known, runs = known_experiments(), []
+    known, runs, left_out = known_experiments(), [], 0
     for path in sorted(arguments.runs.rglob("summary.json")):
         experiment = experiment_of(read_summary(path.parent)["experiment"], known)
+        if experiment is None:
+            left_out += 1
+            continue
         runs.append(measured(path.parent, experiment))
         print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
     nearest = {name: worst(name, learned) for name in (*SMALLEST, *LARGEST)}
     numbers = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned)}
-    headline = {**numbers, **nearest}
+    headline = {**numbers, "left_out": left_out, **nearest}
     found = {**source_of("diagnosis"), "starts": STARTS, "headline": headline, "runs": runs}
     write_json(arguments.json, found)
     print(headline)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean
 
 from torch_pmil.checks import check_whole
 from torch_pmil.search.promise import Promise
@@ -24,8 +25,8 @@ class Ending:
         confirmations: own successes in a row without which no run ends.
         promise: what the newest model must predict after the last of them, unless the two newest
             predict the rate itself after two successes, or there are ``AGAIN`` in a row and the
-            last policy's rate from fresh starts, if it was measured, is the promised one; None if
-            no success is predicted, so that the confirmations alone end the run.
+            rate from fresh starts of their policies together, if it was measured, is the promised
+            one; None if no success is predicted, so that the confirmations alone end the run.
 
     Example:
         >>> Ending(trials=0)
@@ -46,7 +47,7 @@ class Ending:
         if kept := self._kept(trials):
             return kept
         again = max(AGAIN, self.confirmations)
-        if _succeeded(trials, again) and self._measured(trials[-1]):
+        if _succeeded(trials, again) and self._measured(trials[-again:]):
             return _done(again)
         return LIMIT if len(trials) >= self.trials else ""
 
@@ -92,10 +93,14 @@ class Ending:
         rates = [trial.promised_success_rate or 0.0 for trial in trials[-2:]]
         return _succeeded(trials, 2) and min(rates) >= self.promise.rate
 
-    def _measured(self, trial: Trial) -> bool:
-        """Whether no measurement from fresh starts contradicts the promise."""
+    def _measured(self, trials: Sequence[Trial]) -> bool:
+        """Whether the measurements from fresh starts, if there are any, confirm the promise.
+
+        One of 20 starts often is better than its policy, and each trial gives another chance.
+        """
         assert self.promise is not None
-        return trial.success_rate is None or trial.success_rate >= self.promise.rate
+        rates = [trial.success_rate for trial in trials if trial.success_rate is not None]
+        return not rates or fmean(rates) > self.promise.rate - 1e-9  # a mean is rounded
 
     def unmet(self, trials: Sequence[Trial]) -> str:
         """What a run lacked that ended at its limit though own rollouts succeeded; "" for others.

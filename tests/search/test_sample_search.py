@@ -20,7 +20,7 @@ from torch_pmil.search import sample_search, trial_search
 from torch_pmil.search.losses import FAR, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
-from torch_pmil.search.sample_search import expected_cost, search_on_samples
+from torch_pmil.search.sample_search import expected_cost, mean_cost, search_on_samples
 from torch_pmil.search.saturating_cost import saturating_cost
 from torch_pmil.search.trial_search import TrialSearch
 
@@ -53,6 +53,15 @@ def test_cost_of_a_sample_away_from_a_target_saturates(draws: Draws) -> None:
     apart = loss.space.observe(states[:, 1:]) - loss.target
     expected = saturating_cost(apart @ loss.to_widths.mT)
     assert_close(loss.sample_costs(states), expected)
+
+
+def test_the_cheapest_trajectories_alone_may_count(draws: Draws) -> None:
+    loss = make_kl(0)
+    states = draws.normal(5, loss.horizon + 1, 2)
+    costs = sorted(loss.sample_costs(states).sum(-1).tolist())
+    for cheapest, count in ((1.0, 5), (0.5, 3), (0.2, 1)):
+        expected = pytest.approx(sum(costs[:count]) / count)
+        assert mean_cost(loss, states, cheapest).item() == expected
 
 
 def test_search_brings_the_samples_near_what_was_demonstrated() -> None:
@@ -152,6 +161,24 @@ def test_trial_searches_the_loss_only_where_samples_succeed_from_half_the_starts
     result = search.run(loss, INITIAL, None)
     assert len(searches) == searched and search.result is result
     assert (result.evaluations == 3) is not bool(searched)
+
+
+@pytest.mark.parametrize(("predicted", "cheapest"), [(0.09, 0.5), (0.1, 1.0), (None, 1.0)])
+def test_trial_is_optimistic_while_its_policy_is_predicted_to_fail(
+    monkeypatch: pytest.MonkeyPatch, predicted: float | None, cheapest: float
+) -> None:
+    loss, found, given = integrator(), trial_search.search_on_samples, list[float]()
+
+    def noted(*arguments: object) -> object:
+        given.append(arguments[-1])
+        return found(*arguments)
+
+    monkeypatch.setattr(trial_search, "search_on_samples", noted)
+    promise = None if predicted is None else Scripted(predicted)
+    settings = SearchSettings(2, 2, 2, sample_steps=3)
+    search = TrialSearch(settings, lambda: random_policy(Draws(0)), generator(), promise)
+    search.run(loss, INITIAL, None)
+    assert given == [cheapest]
 
 
 def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None:

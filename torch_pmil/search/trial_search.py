@@ -38,6 +38,8 @@ STEADYINGS = 8  # of one policy, while it gets no worse
 ALONE = 500  # steps of a search on samples that nothing follows
 HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
 PROMISING = 0.5  # that of a policy from samples, from which the loss is searched
+FAR_OFF = 0.1  # that of the last policy, below which the cheapest trajectories alone are searched
+CHEAPEST = 0.5  # fraction of these
 
 
 class TrialSearch:
@@ -55,11 +57,12 @@ class TrialSearch:
     searches take as many evaluations as the others, at most.
 
     With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
-    first, from the last policy. Only if success is then predicted from half the starts, the loss is
-    searched from there: before, moments are those of trajectories that part. The second policy is
-    kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
-    has no moments in closed form, the search on samples is the whole search, and goes on from a
-    random policy if it led to nothing better than before.
+    first, from the last policy, with optimism (:func:`search_on_samples`) as long as that is
+    predicted to fail from nearly all starts. Only if success is then predicted from half the
+    starts, the loss is searched from there: before, moments are those of trajectories that part.
+    The second policy is kept if it keeps the promise, else the one of less expected cost. Where
+    policy, model or cost has no moments in closed form, the search on samples is the whole search,
+    and goes on from a random policy if it led to nothing better than before.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -183,8 +186,11 @@ class TrialSearch:
 
     def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
         """Search the whole horizon on samples, from the present policy."""
+        promise, cheapest = self.promise, 1.0
+        if promise is not None and promise.predicted(loss, initial).rate < FAR_OFF:
+            cheapest = CHEAPEST
         runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
-        runs.runs.append(search_on_samples(loss, initial, steps, self.generator))
+        runs.runs.append(search_on_samples(loss, initial, steps, self.generator, cheapest))
         self.report("samples", runs.runs[-1].loss)
         return runs.result(loss.horizon)
 

@@ -141,8 +141,9 @@ class TrialSearch:
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
         """Search on samples, then the loss if they promise much, and keep the better policy."""
-        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps)
-        if self.promise is not None and self.promise.predicted(loss, initial).rate < PROMISING:
+        cheapest = CHEAPEST if self._rate(loss, initial) < FAR_OFF else 1.0
+        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps, cheapest)
+        if self._rate(loss, initial) < PROMISING:
             return first
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
         expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
@@ -180,15 +181,18 @@ class TrialSearch:
             self.result = first.with_work_of(second)
         return self.result
 
+    def _rate(self, loss: TrajectoryLoss, initial: Gaussian) -> float:
+        """Predicted success rate of the present policy; 1 if no success is predicted."""
+        return 1.0 if self.promise is None else self.promise.predicted(loss, initial).rate
+
     def _keeps_promise(self, loss: TrajectoryLoss, initial: Gaussian) -> bool:
         promise = self.promise
         return promise is not None and promise.predicted(loss, initial).least >= promise.aim
 
-    def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
+    def _on_samples(
+        self, loss: TrajectoryLoss, initial: Gaussian, steps: int, cheapest: float = 1.0
+    ) -> SearchResult:
         """Search the whole horizon on samples, from the present policy."""
-        promise, cheapest = self.promise, 1.0
-        if promise is not None and promise.predicted(loss, initial).rate < FAR_OFF:
-            cheapest = CHEAPEST
         runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
         runs.runs.append(search_on_samples(loss, initial, steps, self.generator, cheapest))
         self.report("samples", runs.runs[-1].loss)

@@ -25,6 +25,7 @@ from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.pilco_scenarios import PILCO_SCENARIOS
 from reproduction.reaching import REACHING
+from reproduction.recorded_peers import RECORDED_PEERS
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
@@ -60,6 +61,7 @@ PAPER = {
         BIOROB_HISTORY,
         NOISE,
         PEERS_STUDY,
+        RECORDED_PEERS,
         SENSITIVITY,
         PENDUBOT,
         ACROBOT,

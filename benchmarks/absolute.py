@@ -52,7 +52,8 @@ class LimitedTask(Task):
         shown = FAR * self.demonstrated_states.abs().amax(0)
         limits = torch.maximum(shown, self.initial.mean.abs() + FAR * self.initial.std)
         if self.history is not None:
-            limits[D - self.history.num_past_actions :] = torch.inf
+            past = self.history.past_actions * len(self.history.action_names)  # the last entries
+            limits[D - past :] = torch.inf
         model.limits = limits[list(self.space.plain)]
         return model
 

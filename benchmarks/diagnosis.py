@@ -18,6 +18,7 @@ import torch
 
 from benchmarks.command_line import add_json, source_of
 from reproduction.ablation import variations
+from reproduction.handwriting import written
 from reproduction.learned import load_learned
 from reproduction.masses import SECOND_LINKS, with_second_link
 from reproduction.reproduction import root_of_runs
@@ -59,7 +60,7 @@ def experiment_of(name: str, known: dict[str, Task]) -> Task | None:
     """The experiment of a run; None if it is not among those that are known here."""
     if name.startswith("handwriting_") and name not in known:
         _, shape, robot = name.split("_", 2)
-        known[name] = load_experiment("handwriting", None, shape, robot)
+        known[name] = written(shape, robot)
     return known.get(name)
 
 

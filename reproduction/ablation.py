@@ -14,7 +14,8 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from reproduction.soak.comparison import paired
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.runs.summaries import read_summary, success_over_experience
-from torch_pmil.tasks.method import BY_MATCH, SURE, ModelSettings
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.method import SURE, ModelSettings
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -84,7 +85,7 @@ def variations() -> dict[str, Variation]:
     changes: dict[str, dict[str, Any]] = {
         "ours": {},
         "no_samples": {"method": replace(method, search=SURE)},
-        "matched": {"method": replace(method, search=BY_MATCH)},
+        "matched": {"method": replace(method, search=SearchSettings())},
         "no_growing_horizon": {"method": replace(method, search=at_once)},
         "no_mean_start": {"method": replace(method, search=no_mean_start)},
         "plain_angles": {

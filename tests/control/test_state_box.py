@@ -73,7 +73,7 @@ def test_bound_of_several_entries_and_steps_is_above_the_probability_of_samples(
     left_at, left_ever = left.any(-1).double().mean(0), left.any(-1).any(-1).double().mean()
     assert (SPEEDS.leaving_by_step(states) > left_at - 5e-4 * 5).all()
     pairs = (left.double().mean((0, 1)).sum() * 3) ** 2 / 2
-    bound = SPEEDS.leaving_probability(states)
+    bound = SPEEDS.leaving_by_step(states).sum(-1)
     assert left_ever - 5 * 5e-4 < bound < left_ever + pairs
 
 
@@ -89,7 +89,6 @@ def test_certain_states_leave_surely_or_never() -> None:
     x = torch.tensor([[0.0, 1.4, 0.0, 0.0], [0.0, 1.6, 0.0, 0.0]], dtype=torch.float64)
     certain = Gaussian(x, torch.zeros(2, 4, 4, dtype=torch.float64))
     assert SPEEDS.leaving_by_step(certain).tolist() == [0.0, 1.0]
-    assert SPEEDS.leaving_probability(certain) == 1.0
     assert SPEEDS.penalty(certain)[0] == 0.0
 
 

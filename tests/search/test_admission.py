@@ -59,7 +59,7 @@ def test_refused_policy_is_searched_on_until_it_stays(searched: Searched) -> Non
     assert admission.leaving_probability <= tight.threshold
     with torch.no_grad():
         states = loss.predict_states(INITIAL)
-        assert tight.leaving_probability(states).item() == admission.leaving_probability
+        assert tight.leaving_by_step(states).sum().item() == admission.leaving_probability
         assert loss.per_step(INITIAL).sum().item() == pytest.approx(admission.result.loss)
     assert admission.result.loss > result.loss
     assert admission.result.evaluations > result.evaluations

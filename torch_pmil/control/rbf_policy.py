@@ -84,7 +84,7 @@ class RBFPolicy(SquashedPolicy):
     def for_target(self, target: Tensor) -> RBFPolicy:
         """The policy for one target (K,), a function of the features alone (Eq. 31).
 
-        The target are the last K of this policy's inputs. Raises ValueError if it is not finite, or
+        The target is the last K of this policy's inputs. Raises ValueError if it is not finite, or
         leaves no features.
         """
         check_tensor("target", target, ("K",))

@@ -84,7 +84,8 @@ class StateBox:
         value = self._limited(states.reshape(-1, self.space.dim)[state])[entry].item()
         name, unit = self._limited.names[entry], self._limited.units[entry]
         low, high = bounds[entry].tolist()
-        return f"{name} = {value:.3g} {unit} left its limits of {low:g} to {high:g} {unit}"
+        of_unit = f" {unit}" if unit else ""
+        return f"{name} = {value:.3g}{of_unit} left its limits of {low:g} to {high:g}{of_unit}"
 
     def margins(self, states: Tensor) -> Tensor:
         """Distances of states (*batch, D) from all limits, negative outside: (*batch, limits)."""
@@ -99,13 +100,6 @@ class StateBox:
         D); the bound is (*batch, T).
         """
         return torch.special.ndtr(-self._standardised(states)).sum(-1).clamp(max=1)
-
-    def leaving_probability(self, states: Gaussian) -> Tensor:
-        """Bound (*batch) on the probability that a rollout leaves the box at any of its steps.
-
-        It is the sum of :meth:`leaving_by_step`, at most 1 (Boole's inequality).
-        """
-        return self.leaving_by_step(states).sum(-1).clamp(max=1)
 
     def penalty(self, states: Gaussian, weight: float = 1.0) -> Tensor:
         r"""Penalty (*batch, T) of states that may leave, in nats, smooth and steep far outside.

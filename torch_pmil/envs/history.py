@@ -107,11 +107,6 @@ class History:
         """Indices of the entries that the sensors show."""
         return tuple(i for i, name in enumerate(self.names) if name not in self.hidden)
 
-    @property
-    def num_past_actions(self) -> int:
-        """Number of entries that are past actions; they are the last ones."""
-        return self.past_actions * len(self.action_names)
-
     @cached_property
     def shift(self) -> Tensor:
         """S (D, D + F): part of the next state that is linear in state and action."""

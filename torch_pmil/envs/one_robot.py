@@ -150,7 +150,9 @@ def length_of_step(env: gymnasium.Env) -> float | None:
     return float(step) if number and 0 < step < math.inf else None
 
 
-def check_period(own: float, control_period: float, steps: int | None, rounded: float = 0) -> None:
+def check_period(
+    own: float, control_period: float, steps: int | None, rounded: float = 1e-6
+) -> None:
     """Raise ValueError unless a robot of this package is used at its own control period.
 
     The two may differ relatively by ``rounded``.

@@ -13,9 +13,10 @@ from torch import Tensor
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
 
 PLACES = 10  # of the racket, between two states
+CONTROL_PERIOD = 0.1  # s, between two states
 
 
-def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
+def distance_along(states: Tensor) -> Tensor:
     """Least distance (*batch) of the surfaces of racket and ball, m, float64; 0 if they touch.
 
     The joints move along the cubic given by the positions and velocities of two states. The ball
@@ -23,14 +24,13 @@ def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
 
     Args:
         states: x_0..x_T, (*batch, T + 1, 6), in rad and rad/s.
-        time_step: between two states, s.
 
     Example:
         >>> from torch_pmil.envs.biorob import START
         >>> distance_along(torch.tensor(START).expand(4, 19, 6)).shape
         torch.Size([4])
     """
-    paths = _joint_paths(states.detach().double().numpy(), time_step)
+    paths = _joint_paths(states.detach().double().numpy())
     model, joints, qpos = _robot_at_start()
     data, sensor = mujoco.MjData(model), model.sensor("racket_ball_distance").adr[0]
     data.qpos[:] = qpos
@@ -44,10 +44,10 @@ def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
     return torch.as_tensor(distances.min(-1).clip(min=0))
 
 
-def _joint_paths(states: np.ndarray, time_step: float) -> np.ndarray:
+def _joint_paths(states: np.ndarray) -> np.ndarray:
     """Positions of the joints, (*batch, PLACES T + 1, 3), along states (*batch, T + 1, 6)."""
     positions, velocities = np.split(states, 2, axis=-1)
-    times = time_step * np.arange(states.shape[-2])
+    times = CONTROL_PERIOD * np.arange(states.shape[-2])
     fine = np.linspace(0, times[-1], PLACES * (len(times) - 1) + 1)
     return scipy.interpolate.CubicHermiteSpline(times, positions, velocities, axis=-2)(fine)
 

@@ -49,11 +49,12 @@ class GymnasiumRobot(Env):
         ((4,), array([2., 2.]))
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata = {"render_modes": ["rgb_array"]}
 
     def __init__(self, name: str, render_mode: str | None = None, **settings: Any) -> None:
         self.render_mode = render_mode
         self._robot = ROBOTS[name][0](**settings)
+        self.metadata = {**self.metadata, "render_fps": round(1 / self._robot.control_period)}
         box, limits = gymnasium.spaces.Box, self._robot.action_spec.space
         shape = self._robot.observation_spec["observation"].shape
         self.observation_space = box(-np.inf, np.inf, shape, np.float64)

@@ -45,8 +45,8 @@ def sampled(
         task: to be learned.
         seed: of the run.
         out: its folder.
-        resume: whether the run continues that is there, with its motion and its sampling.
-        before: folder of another run, whose sampling is taken.
+        resume: whether to continue the run that is there, with its motion and its sampling.
+        before: folder of another run, whose sampling and scale are taken.
         report: called with what was chosen, in words, and why a robot is moved again.
 
     Raises:
@@ -57,7 +57,8 @@ def sampled(
         return task, None
     motion = _first_motion(task, seed, out, resume, report)
     if task.unscaled:
-        return task.scaled_by(motion.states), motion.as_rollout(task)
+        of_states = motion if before is None else _loaded(task, before / MOTION)
+        return task.scaled_by(of_states.states), motion.as_rollout(task)
     known = out if resume else before
     if known is not None and (known / SAMPLING).exists():
         choice = _read(task, known / SAMPLING)
@@ -81,7 +82,7 @@ def in_words(task: Task, choice: Choice) -> str:
         'steps of 0.2 s: the simplest that predicts the first motion well'
         >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
         >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
-        "steps of 0.1 s: the robot's own, since no model predicts the first motion well"
+        "steps of 0.1 s: the shortest step, since no model predicts the first motion well"
     """
     chosen = choice.sampling.described(task.time_step)
     if not choice.lost:
@@ -91,7 +92,7 @@ def in_words(task: Task, choice: Choice) -> str:
         for of, digits in ((choice.lost, 2), (choice.gained, 1))
     )
     well = min(choice.lost.values()) <= GOOD
-    why = "the simplest that predicts" if well else "the robot's own, since no model predicts"
+    why = "the simplest that predicts" if well else "the shortest step, since no model predicts"
     return (
         f"{chosen}: {why} the first motion well (nats lost for each entry "
         f"{lost}{gained and '; nats gained '}{gained})"

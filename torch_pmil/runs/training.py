@@ -101,7 +101,7 @@ def train(
     written into ``checkpoints/`` after every rollout of the robot. A run that was killed continues
     from there with ``resume`` and ends with the very same policy and model; one that has ended
     comes to the same end again, or continues if ``trials`` was its limit and is larger now. If the
-    operator discards the robot's last rollout, it is as if that had never happened.
+    operator discards the robot's last rollout, the run continues as if it had never happened.
 
     Args:
         task: what to learn.
@@ -123,7 +123,8 @@ def train(
     Raises:
         RunStopped, RobotError: the operator ended the run, or the robot cannot be reached; the run
             continues with ``resume``.
-        RuntimeError: the robot hardly moved: every rollout was cut short at its start.
+        RuntimeError: the exploration gave too few transitions, no policy was admitted to the robot,
+            or every rollout was cut short at its start.
         OSError: the folder cannot be written to.
         TypeError: the task is of another kind, such as its name.
         ValueError: a setting is out of range, or the checkpoint is of a run with other settings.

@@ -8,6 +8,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torch_pmil.control.module_policy import ModulePolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer, NotFiniteError
@@ -73,6 +74,8 @@ def admit(
         if leaving.sum() <= box.threshold:
             break
         refused += 1
+        if isinstance(loss.actor_network, ModulePolicy):  # whose moments no search can lower
+            break
         try:
             with loss.penalised(partial(box.penalty, weight=weight)):
                 again = search_policy(loss, initial, settings, report, optimizer=optimizer)

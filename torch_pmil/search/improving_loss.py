@@ -124,6 +124,12 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         nats = FAR * self.space.match_space.dim / 2 * distances
         return self.cost.sample_costs(states) + self.imitation_weight * nats
 
+    def typical_cost(self, states: Tensor) -> Tensor:
+        """Size of what counts now, for one step of sampled trajectories."""
+        if self.improving:
+            return TrajectoryLoss.typical_cost(self, states)
+        return super().typical_cost(states)
+
     def objective(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Objective | None:

@@ -36,7 +36,7 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
 
     Raises:
         ValueError: shapes do not fit each other, or the reduction is unknown.
-        TypeError: the policy is no RBFPolicy.
+        TypeError: the policy is not an RBFPolicy.
 
     Example:
         >>> from torch_pmil import GPDynamics

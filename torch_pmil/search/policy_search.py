@@ -154,8 +154,10 @@ def search_policy(
         optimizer: see :func:`~torch_pmil.gp.lbfgs.minimise`.
 
     Raises:
-        TypeError, ValueError: the settings are of another kind, or there are several start beliefs.
-        PredictionError: the prediction fails at the policy that was given.
+        TypeError: the settings are of another kind, or the policy has no moments in closed form.
+        ValueError: there are several start beliefs.
+        PredictionError: the first step cannot be predicted under the given policy.
+        NotFiniteError: the loss is not finite at the policy from which the last run begins.
     """
     if not isinstance(settings, SearchSettings):
         raise TypeError(f"settings must be SearchSettings, got {type(settings).__name__}")

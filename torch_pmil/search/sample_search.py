@@ -51,7 +51,7 @@ def search_on_samples(
         generator: seeded source of the draws.
         cheapest: fraction of each step's trajectories, those of least cost, whose mean is lowered.
     """
-    parameters = list(loss.actor_network.parameters())
+    parameters = [each for each in loss.actor_network.parameters() if each.requires_grad]
     adam = torch.optim.Adam(parameters, lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps, LAST_RATE)
     start, units, costs = loss.begin(initial)[0], _units(loss, initial, generator), list[float]()
@@ -64,7 +64,7 @@ def search_on_samples(
         states = torch.cat([starts[..., None, :], follow_functions(starts, *given)], -2)
         cost = mean_cost(loss, states, cheapest)
         costs.append(cost.item())
-        gradients = torch.autograd.grad(cost, parameters)
+        gradients = torch.autograd.grad(cost, parameters, allow_unused=True, materialize_grads=True)
         if not all(gradient.isfinite().all() for gradient in gradients):
             return MinimiseResult(costs[0], costs[-1], step, step + 1, 1, "numerical failure")
         for parameter, gradient in zip(parameters, gradients, strict=True):

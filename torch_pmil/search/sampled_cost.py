@@ -34,7 +34,7 @@ class ExpectedSampledCost(ExpectedCost):
     Raises:
         ValueError: the horizon or the reduction is not as it must be. When called: the costs have
             another shape.
-        TypeError: when called: the cost function returns no tensor.
+        TypeError: when called: the cost function does not return a tensor.
 
     Example:
         >>> from torch_pmil import GPDynamics, RBFPolicy, joint_match

@@ -34,7 +34,7 @@ class TargetCost(Settings):
             units. Entries that are not named do not count.
 
     Raises:
-        TypeError, ValueError: the target is no mapping of names to numbers, or the width is not
+        TypeError, ValueError: the target is not a mapping of names to numbers, or the width is not
             positive.
     """
 

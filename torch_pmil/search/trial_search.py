@@ -56,10 +56,11 @@ class TrialSearch:
     succeeded: before, the failures may be what the model does not know yet. In a whole run these
     searches take as many evaluations as the others, at most.
 
-    With ``settings.sample_steps`` none of this is needed: the whole horizon is searched on samples
-    first, from the last policy, with optimism (:func:`search_on_samples`) as long as that is
-    predicted to fail from nearly all starts. Only if success is then predicted from half the
-    starts, the loss is searched from there: before, moments are those of trajectories that part.
+    With ``settings.sample_steps`` none of this is needed. The whole horizon is first searched on
+    samples, from the last policy (:func:`search_on_samples`). This is optimistic while the last
+    policy is predicted to fail from nearly all starts. The loss is searched from there only if
+    success is then predicted from half the starts: until then the trajectories part, and their
+    moments say little.
     The second policy is kept if it keeps the promise, else the one of less expected cost. Where
     policy, model or cost has no moments in closed form, the search on samples is the whole search,
     and goes on from a random policy if it led to nothing better than before.
@@ -67,7 +68,7 @@ class TrialSearch:
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
         make_policy: returns a new random policy of the same shape.
-        generator: source of the random states of :func:`refit_policy`.
+        generator: source of the states of :func:`refit_policy`, and of all samples.
         promise: what the policy must keep; None if no success is predicted.
     """
 
@@ -158,7 +159,8 @@ class TrialSearch:
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
         expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
         least, self._least = self._least, min(self._least, expected)
-        if expected < PROGRESS * least or self._keeps_promise(loss, initial):
+        progress = least == math.inf or least - expected > (1 - PROGRESS) * abs(least)
+        if progress or self._keeps_promise(loss, initial):
             return first
         loss.actor_network.load_state_dict(self.make_policy().state_dict())
         second, other = self._on_samples(loss, initial, steps), judge()
@@ -247,7 +249,7 @@ def search_for_success(
     report: Report = lambda stage, loss: None,
     optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> SearchResult:
-    """Search on until the predicted success rate of the policy is :attr:`Promise.aim`.
+    """Search on until :attr:`PredictedSuccess.least` of the policy reaches :attr:`Promise.aim`.
 
     The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
     it gets no worse and is not hopeless. Then others are searched from random policies, and

@@ -22,7 +22,7 @@ LEAST_REACH = 6.0  # degrees, three times the standard deviation of a joint's st
 STIFFNESS = (20.0, 25.0, 10.0)  # N·m/rad
 # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
 DAMPING = (0.5, 1.0, 0.3)
-# nats a step, of six dimensions; with 4.5 the search stalls where the strike begins
+# nats per step and observed entry; with 0.75 the search stalls where the strike begins
 SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trust_threshold=2.0)
 
 

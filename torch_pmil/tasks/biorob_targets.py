@@ -23,8 +23,8 @@ from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
 from torch_pmil.tasks.targets import TargetTask
 
-# factors of the widths for one ball: strikes at balls to the left and right differ in yaw
 REACH = (24.0, 34.0, 39.0)  # degrees, as far as the demonstrations of one ball go
+# factors of the widths for one ball: strikes at balls to the left and right differ in yaw
 WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)
 
 

@@ -66,8 +66,10 @@ class CostTask(Task):
     def __post_init__(self) -> None:
         if not isinstance(self.cost, Cost):
             got = type(self.cost).__name__
-            raise TypeError(f"cost must be a SaturatingCost or a FunctionCost, got {got}")
-        check_whole("horizon", self.steps, 1)
+            raise TypeError(
+                f"cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got {got}"
+            )
+        check_whole("steps", self.steps, 1)
         check_positive("control_period", self.control_period)
         super().__post_init__()
         if self.centre_std is not None:

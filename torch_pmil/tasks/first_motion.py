@@ -158,9 +158,10 @@ def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
 
 
 def _evidence(task: Task, motion: FirstMotion, held: int) -> tuple[PastEvidence, int]:
-    """Evidence of the past at the shortest step with few transitions, and its control periods.
+    """Evidence of the past, and the length of the step at which it was sought, in control periods.
 
-    That is the robot's own step or one that divides the chosen one, whose data show less.
+    It is the shortest step that divides the chosen one and leaves at most ``MOST`` transitions:
+    longer steps show less of the past.
     """
     count = len(motion.actions)
     every = next(

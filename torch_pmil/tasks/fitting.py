@@ -46,6 +46,11 @@ def fitting(
     Raises:
         DemonstrationError: their names, targets or time step are not those of the task.
     """
+    if not isinstance(demonstrations, Demonstrations):
+        raise DemonstrationError(
+            "demonstrations must have one length and one time step, got "
+            f"{type(demonstrations).__name__}; pmil align aligns recordings"
+        )
     if demonstrations.target_names != target_names:
         wanted = ", ".join(target_names) or "none"
         found = ", ".join(demonstrations.target_names) or "none"

@@ -40,7 +40,9 @@ class ImprovingTask(Task):
     def __post_init__(self) -> None:
         if not isinstance(self.cost, Cost):
             got = type(self.cost).__name__
-            raise TypeError(f"cost must be a SaturatingCost or a FunctionCost, got {got}")
+            raise TypeError(
+                f"cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got {got}"
+            )
         if isinstance(self.cost, TargetCost):
             self.cost.at_end(self.space)  # raises ValueError if its target is of another space
         super().__post_init__()

@@ -85,7 +85,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         method=Method(
             policy=PolicySettings(num_centres=50, input_scale=3.0),
             exploration=RandomMotion(random_action=0.1),
-            # nats of two dimensions in effect: the height of the tip hardly changes
+            # nats per step and observed entry, of which two vary: the tip's height hardly changes
             search=SearchSettings(trust_threshold=1.0),
         ),
     )

@@ -57,7 +57,10 @@ class PolicySettings(Settings):
 
 @dataclass(frozen=True)
 class ModelSettings(Settings):
-    """The forward model; positions follow from velocities by a rule with two fitted numbers."""
+    """The forward model.
+
+    With ``velocities_alone``, positions follow from velocities by a rule with two fitted numbers.
+    """
 
     velocities_alone: bool = setting(
         False, "whether the model learns velocities alone, from which their positions follow"
@@ -138,7 +141,6 @@ class Method(Settings):
 # a position follows from its velocity, so that nothing is learned twice, with half the computing;
 # where joints hang on springs, as the BioRob's do, it does not follow exactly enough
 VELOCITIES = ModelSettings(velocities_alone=True)
-BY_MATCH = SearchSettings()
 # what is sure is followed, and where nothing is sure to the end, samples lead: the robots of the
 # package learn sooner with one or both, except those that need a match followed step by step
 SURE = SearchSettings(trust_threshold=0.15, trust_what_is_sure=True)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.module_policy import MakeModule
+from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
@@ -42,7 +42,7 @@ def own_cost(
     success: Callable[[Tensor], Tensor] | None = None,
     steps_per_action: int | None = None,
     optimizer: MakeOptimizer | None = None,
-    policy: MakeModule | None = None,
+    policy: MakePolicy | None = None,
     model: Any = None,
     **settings: Any,
 ) -> CostTask:

@@ -30,9 +30,9 @@ Recorded = Demonstrations | Recordings | str | os.PathLike[str]
 def read(
     demonstrations: Recorded, wanted: Sequence[str], control_period: float
 ) -> Demonstrations | Recordings:
-    """Recordings with times in seconds, of the wanted entries or, if a file lacks some, of others.
+    """Recordings of the wanted entries, with times in seconds.
 
-    These are all its entries, or those of the wanted ones that are no velocities.
+    If a file lacks some of them, all its entries are read, or the wanted ones without velocities.
 
     Raises:
         DemonstrationError: they cannot be read, or their times are plainly not seconds.

@@ -21,7 +21,8 @@ from torch_pmil.settings import Settings
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.task import Task
 
-FIXED = {"make_env", "space", "demonstrations", "history"}  # fields that follow from the arguments
+# fields that follow from the arguments
+FIXED = {"make_env", "space", "demonstrations", "history", "held", "samplings", "steps"}
 OF_TEACHERS = {"noise_std", "demonstrated_states"}  # what a task with a cost has no use for
 KINDS: dict[str, type] = {
     "initial": Gaussian,

@@ -28,7 +28,7 @@ def samplings_of(task: Task, given: Sampling, step: object, past: object) -> tup
         step, past: arguments of :func:`~torch_pmil.tasks.own_robot.own_robot`.
 
     Raises:
-        ValueError: an argument is of another kind, or the step is no multiple of the period.
+        ValueError: an argument is of another kind, or the step is not a multiple of the period.
     """
     if past not in ("auto", None):
         raise ValueError(f'past must be "auto" or None, got {short(past)}')

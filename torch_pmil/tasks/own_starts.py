@@ -62,7 +62,7 @@ def start_around(mean: Tensor, std: Tensor) -> Gaussian:
 def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
     """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 
-    No robot starts twice the same: the standard deviations are at least a share of the largest
+    No robot starts twice in the same state: each deviation is at least a share of the largest
     demonstrated value.
     """
     share = LEAST_START

@@ -73,7 +73,8 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
     """
     if not isinstance(demonstrations, Demonstrations | Recordings | None):
         raise TypeError(
-            f"demonstrations must be Demonstrations, got {type(demonstrations).__name__}"
+            "demonstrations must be Demonstrations or Recordings, got "
+            f"{type(demonstrations).__name__}"
         )
     make = _maker(name)
     task = make() if demonstrations is None else make(demonstrations)

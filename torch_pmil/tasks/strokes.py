@@ -45,13 +45,11 @@ def lasa_strokes(shape: str) -> Recordings:
     return load_recordings(folder / f"{shape}.mat")
 
 
-def preprocessed(
-    recordings: Recordings, duration: float, time_step: float = TIME_STEP
-) -> Demonstrations:
+def preprocessed(recordings: Recordings, duration: float) -> Demonstrations:
     """Strokes on one time base: cropped to the part that moves, aligned and resampled.
 
     People take 2.5 to 7 s for a shape of the LASA set; here all take ``duration`` (s), a whole
-    number of time steps.
+    number of time steps of ``TIME_STEP``.
 
     Raises:
         AlignmentError: a stroke does not move or its times do not increase.
@@ -62,7 +60,7 @@ def preprocessed(
     ]
     aligned = align([crop(stroke, isotropic=True) for stroke in even], isotropic=True)
     times = torch.linspace(0, duration, aligned.shape[1], dtype=torch.float64)
-    return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
+    return Demonstrations(resample(aligned, times, TIME_STEP), TIME_STEP, recordings.names)
 
 
 def placed(strokes: Demonstrations, extent: float) -> Demonstrations:

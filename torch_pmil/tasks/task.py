@@ -270,7 +270,7 @@ class Task(Settings):
 
     @torch.no_grad()
     def errors(self, policy: StatePolicy, starts: int, seed: int) -> Tensor:
-        """Errors (starts,) of a policy's rollouts from fresh starts, infinite if cut short.
+        """Errors of rollouts from fresh starts, infinite if cut short, (starts,) for each target.
 
         If not ``evaluated``, the one robot does all of them in turn.
         """

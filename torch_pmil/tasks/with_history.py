@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, wraps
 from typing import Any
 
 import torch
@@ -20,6 +20,7 @@ from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.files import short
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.target_costs import FunctionCost
 from torch_pmil.tasks.task import Task
 
 
@@ -36,7 +37,8 @@ def with_history(
     model see the whole state.
 
     Args:
-        past_entries: number of past values of all entries but positions that determine a velocity.
+        past_entries: number of past values of each entry; with ``positions_only``, of each but the
+            positions from which a velocity is estimated.
             What is hidden, such as a spring, shows in them, and the noise of sensors averages out.
             Past angles are plain numbers, in which a full turn is a difference.
         past_actions: number of past actions: those that still act if there is a delay.
@@ -44,8 +46,10 @@ def with_history(
             last two positions, which need ``past_actions=1`` to be as informative.
 
     Raises:
-        ValueError: the task has a history already, no entry of its state is a velocity of a
-            position, or a number is not a whole number of at least 0.
+        TypeError: ``positions_only`` is not a bool.
+        ValueError: the task has a history already or no demonstrations, a number is not a whole
+            number from 0 to the horizon, or ``positions_only`` is set and no entry is the velocity
+            of another.
 
     Example:
         >>> from torch_pmil import load_experiment
@@ -55,6 +59,8 @@ def with_history(
     """
     if task.history is not None:
         raise ValueError(f"{task.name} has a history already")
+    if task.demonstrations is None:
+        raise ValueError(f"{task.name} must have demonstrations to remember the past, got none")
     names, velocities = task.space.names, rates_of(task.space.names)
     for name, past in (("past_entries", past_entries), ("past_actions", past_actions)):
         check_whole(name, past, 0, task.horizon)  # no motion has more
@@ -139,7 +145,19 @@ def _remembering(task: Task, history: History, resting: Resting) -> Task:
             changes[name] = OfShown(function, shown)
     if held is not None:
         changes["held_states"] = begin(held)
+    if isinstance(cost := getattr(task, "cost", None), FunctionCost):
+        changes["cost"] = _of_shown(cost, shown)
     return replace(task, **changes)
+
+
+def _of_shown(cost: FunctionCost, shown: int) -> FunctionCost:
+    """The cost of the first entries, which a user's function knows."""
+
+    @wraps(cost.function)
+    def function(states: Tensor, actions: Tensor) -> Tensor:
+        return cost.function(states[..., :shown], actions)
+
+    return FunctionCost(function)
 
 
 def _space(task: Task, history: History) -> StateSpace:

@@ -81,7 +81,7 @@ def is_settled(candidates: Sequence[Candidate], loss: ImprovingKLLoss, initial: 
     for candidate in candidates[-2:]:
         loss.actor_network.load_state_dict(candidate.parameters)
         costs.append(expected_cost(loss.cost, initial, SEED))
-    return costs[1] >= SETTLED * costs[0]
+    return costs[0] - costs[1] <= (1 - SETTLED) * abs(costs[0])
 
 
 def _known_rate(trial: Trial, own_success: bool, predicted: float | None) -> float:

@@ -34,7 +34,7 @@ class RobotActor(torch.nn.Module):
 
     @torch.no_grad()
     def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
-        """Torques (*batch, F), N·m, at states (*batch, D) and, if given, targets (*batch, K)."""
+        """Actions (*batch, F) at states (*batch, D) and, if given, targets (*batch, K)."""
         if self.exploring:
             return self.motion(observation)
         features = self.space.features(observation)

@@ -23,10 +23,10 @@ class Ending:
     Args:
         trials: largest number of trials.
         confirmations: own successes in a row without which no run ends.
-        promise: what the newest model must predict after the last of them, unless the two newest
-            predict the rate itself after two successes, or there are ``AGAIN`` in a row and the
-            rate from fresh starts of their policies together, if it was measured, is the promised
-            one; None if no success is predicted, so that the confirmations alone end the run.
+        promise: what the newest model must predict after the last confirmation. Two exceptions end
+            a run sooner: two successes whose models both predict the promised rate itself, and
+            ``AGAIN`` successes in a row, unless the rates measured from fresh starts contradict the
+            promise. None if no success is predicted; the confirmations alone then end the run.
 
     Example:
         >>> Ending(trials=0)

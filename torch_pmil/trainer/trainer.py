@@ -262,6 +262,7 @@ class PMILTrainer(Trainer):
         self.experience.load_state_dict(self.experience.state_dict())  # with room for as many more
         for name in components.keys() - {"policy", "loss_module", "trainer_module.experience"}:
             components[name].load_state_dict(fresh[name])
+        self.search.begin_anew()
         if isinstance(self.loss_module, ImprovingKLLoss):
             self.loss_module.improve(False)
         self.state.explored = len(self.experience)

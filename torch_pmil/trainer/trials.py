@@ -50,7 +50,7 @@ class Trial(Measurement):
         refitted: whether a second search was made, from a refitted policy.
         gp_seconds, search_seconds: wall time of the model's fit and of the search, s.
         evaluations: number of evaluations of the objective.
-        stop_reason: why the last run of L-BFGS ended.
+        stop_reason: why the last run of the optimiser ended.
         steps: control steps of the own rollout.
         cut_short: why the own rollout was cut short, a failure of infinite error; "" if it was not.
         leaving_probability: bound on the predicted probability that the own rollout leaves the box

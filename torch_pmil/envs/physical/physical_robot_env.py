@@ -70,7 +70,7 @@ class PhysicalRobotEnv(RobotEnv):
 
     Raises:
         ValueError: a setting has the wrong shape or range.
-        TypeError: the robot lacks a method, or a setting that must be a function is none.
+        TypeError: the robot lacks a method, or a setting that must be a function is not one.
         RobotError: at a reset, if the robot cannot be read or stopped.
 
     Example:

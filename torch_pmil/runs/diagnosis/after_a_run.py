@@ -184,7 +184,8 @@ class _Search:
     def most(self) -> float:
         """Most of it that is right."""
         search = self.task.method.search
-        return MATCHED if search.trust_what_is_sure else search.trust_threshold
+        by_match = self.named[0] == TrajectoryKLLoss.label
+        return MATCHED if by_match and search.trust_what_is_sure else search.trust_threshold
 
     @property
     def named(self) -> tuple[str, str]:

@@ -70,16 +70,15 @@ def scaled(settings: Mapping[str, Any], name: str, factor: float) -> str:
     return f"{name}={factor * value:g}"
 
 
-def forgiveness(settings: Mapping[str, Any]) -> tuple[str, str]:
-    """What lets an objective forgive more, in words, and its setting.
+def forgiving(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The setting that lets an objective forgive more, and what it is in words, if there is one.
 
     Example:
-        >>> forgiveness({"cost.width": 0.25})
-        ('a wider target', 'cost.width')
+        >>> forgiving({"cost.width": 0.25}), forgiving({})
+        ([('cost.width', 'a wider target')], [])
     """
-    if "noise_std" in settings:
-        return "more tolerance", "noise_std"
-    return "a wider target", "cost.width"
+    known = ("noise_std", "more tolerance"), ("cost.width", "a wider target")
+    return [each for each in known if each[0] in settings][:1]
 
 
 def larger_motion(settings: Mapping[str, Any]) -> str:
@@ -261,7 +260,9 @@ def check_search(
         mismatch: what does not match there, in words.
         horizons: step up to which the search of each trial went.
     """
-    what, forgiving = forgiveness(settings)
+    wider = "".join(
+        f", or {what} ({scaled(settings, name, 2)})" for name, what in forgiving(settings)
+    )
     rise, cause, hint = "is", "too few trials", "more trials may lead them further"
     if step > 1:
         rise = f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
@@ -270,8 +271,7 @@ def check_search(
             "search stuck",
             f"{LATEST} trials led them no further, so try another seed, more iterations "
             f"({scaled(settings, 'search.stage_iterations', 2)}), a larger threshold "
-            f"({scaled(settings, 'search.trust_threshold', 2)}), or {what} "
-            f"({scaled(settings, forgiving, 2)})",
+            f"({scaled(settings, 'search.trust_threshold', 2)}){wider}",
         )
     return Reason(
         cause,
@@ -312,12 +312,12 @@ def unexplained(
 
     ``largest`` is what is left of the objective, in words.
     """
-    stricter = scaled(settings, forgiveness(settings)[1], 0.5)
+    stricter = "".join(f"{scaled(settings, name, 0.5)}, or " for name, _ in forgiving(settings))
     return Reason(
         "success criterion",
         "the robot does what was predicted, and the prediction is good enough for the search, yet "
         f"{failed} of {count} rollouts have an error above {tolerance:.3g}: the criterion is "
-        f"stricter than the objective. {largest}; {stricter}, or more trials with "
+        f"stricter than the objective. {largest}; {stricter}more trials with "
         f"confirmations={settings['confirmations'] + 2}, bring the robot nearer to its goal",
     )
 

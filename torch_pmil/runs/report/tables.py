@@ -11,7 +11,7 @@ from torch_pmil.runs.report.words import percent, say
 from torch_pmil.runs.settings import SETTINGS
 from torch_pmil.runs.summaries import judged_alone
 
-ENDS = {  # of the last run of L-BFGS: reaching the limit of iterations is not a failure
+ENDS = {  # of the optimiser's last run: reaching the limit of iterations is not a failure
     "iteration limit": "all its iterations done",
     "gradient is small": "an optimum",
     "no further progress": "no further progress",

@@ -59,6 +59,10 @@ def test_settings_reach_the_robot_and_bad_ones_are_refused() -> None:
     assert np.array_equal(env.reset()[0], DoublePendulumEnv().initial_mean.numpy())
     with pytest.raises(ValueError, match="torque_limit must be one or 2 positive finite numbers"):
         gymnasium.make(PENDULUM, torque_limit=-1.0)
+    rates = [
+        gymnasium.make(name).metadata["render_fps"] for name in (PENDULUM, "torch_pmil/Pendubot-v0")
+    ]
+    assert rates == [10, 25]
 
 
 def test_observations_are_the_users_to_change_and_closing_twice_is_no_error() -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import pytest
 import torch
 
 from tests.helpers.draws import Draws
-from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
+from tests.helpers.integrator import SPACE, U_MAX, belief_at_one, integrator_loss, random_policy
+from torch_pmil.control.module_policy import ModulePolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.admission import admit
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.search.trial_search import TrialSearch
 
 HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=1.0)
 
@@ -76,6 +79,21 @@ def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
     admission = admit(loss, INITIAL, box(0.5), SETTINGS, result)
     assert (admission.refused, admission.steps) == (3, 2)
     assert admission.leaving_probability == pytest.approx(0.56)
+
+
+def test_first_steps_are_left_of_a_module_that_leaves() -> None:
+    """No search lowers its moments; the policy stays as it is."""
+    mean = torch.tensor([0.85, 0.7, 0.55, 0.4], dtype=torch.float64)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        policy = ModulePolicy(torch.nn.Linear(1, 1), torch.ones(1), U_MAX, torch.zeros(1))
+    loss, settings = integrator_loss(policy, mean, 0.01), replace(SETTINGS, sample_steps=3)
+    search = TrialSearch(settings, lambda: policy, torch.Generator().manual_seed(0))
+    result = search.run(loss, INITIAL, None)
+    before = copy.deepcopy(policy.state_dict())
+    admission = admit(loss, INITIAL, box(5.0), SETTINGS, result)
+    assert (admission.refused, admission.steps, admission.result) == (1, 0, result)
+    assert_same(loss, before)
 
 
 @pytest.mark.parametrize(("low", "refused"), [(5.0, 3), (1e9, 1)])

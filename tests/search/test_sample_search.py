@@ -79,6 +79,17 @@ def test_search_brings_the_samples_near_what_was_demonstrated() -> None:
     assert torch.equal(*found)
 
 
+def test_frozen_parameters_stay_and_unused_ones_do_no_harm() -> None:
+    loss = integrator()
+    policy = loss.actor_network
+    policy.centres.requires_grad_(False)
+    policy.register_parameter("unused", torch.nn.Parameter(torch.ones(2).double()))
+    before = [policy.centres.clone(), policy.weights.clone()]
+    search_on_samples(loss, INITIAL, 5, generator())
+    assert torch.equal(policy.centres, before[0]) and not torch.equal(policy.weights, before[1])
+    assert policy.unused.tolist() == [1.0, 1.0]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_expected_cost_is_that_of_the_predicted_marginals(seed: int) -> None:
     """Of a nearly linear system that is well known: by Monte Carlo on exact moments."""
@@ -199,8 +210,9 @@ def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None
         (0.5, (1.0, 0.7), [1, 2]),
         (0.5, (1.0, 0.9, 0.8), [1, 3]),
         (0.5, (1.0, 0.9, 0.95), [1, 2]),
+        (0.5, (-10.0, -9.0, -8.0), [1, 2]),
     ],
-    ids=["promise kept", "progress", "a random policy leads further", "it does not"],
+    ids=["promise kept", "progress", "a random policy leads further", "it does not", "negative"],
 )
 def test_trial_on_samples_alone_begins_anew_without_progress(
     monkeypatch: pytest.MonkeyPatch, promised: float, costs: tuple[float, ...], kept: list[int]

@@ -105,6 +105,7 @@ def test_another_optimiser_can_be_given() -> None:
         ({"match": "tip"}, "match by a site needs a MujocoRobot, got CartPoleEnv"),
         ({"noise_std": 0.1}, "settings must be known ones, got 'noise_std'"),
         ({"demonstrations": None}, "settings must be known ones, got 'demonstrations'"),
+        ({"steps": 30}, "settings must be known ones, got 'steps'"),
         ({"tolerence": 0.1}, "did you mean tolerance?"),
     ],
 )

@@ -7,11 +7,14 @@ import os
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits
 from torch_pmil.cli.resume import overrides
 from torch_pmil.demonstrations import shipped_demonstrations
+from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.recordings import Recordings
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import is_own, load_experiment
 
@@ -97,6 +100,13 @@ def test_what_makes_no_task_is_one_line(name: str, kind: type[Exception], messag
     with pytest.raises(kind) as error:
         load_experiment(name)
     assert str(error.value) == message
+
+
+def test_recordings_that_a_task_does_not_align_are_refused() -> None:
+    time = torch.arange(3).double()
+    recordings = Recordings(("1",), (time,), (time[:, None],), ("x",))
+    with pytest.raises(DemonstrationError, match="got Recordings; pmil align aligns recordings"):
+        load_experiment("cart_pole", recordings)
 
 
 @pytest.mark.parametrize(

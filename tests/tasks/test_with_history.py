@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests.helpers.draws import Draws
 from tests.helpers.short_run import short_experiment
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.runs.training import train
+from torch_pmil.search.target_costs import FunctionCost
+from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
@@ -73,6 +76,22 @@ def test_second_history_is_refused() -> None:
     task = with_history(load_experiment("double_pendulum"), past_actions=1)
     with pytest.raises(ValueError, match="double_pendulum has a history already"):
         with_history(task, past_actions=1)
+
+
+def test_past_needs_demonstrations() -> None:
+    with pytest.raises(ValueError, match="double_pendulum_pilco must have demonstrations to rem"):
+        with_history(load_experiment("double_pendulum_pilco"), past_actions=1)
+
+
+def test_cost_function_sees_the_states_that_are_shown(draws: Draws) -> None:
+    def square(states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        return states.square().sum(-1) + actions.sum(-1)
+
+    plain = improving(load_experiment("double_pendulum"), FunctionCost(square))
+    task = with_history(plain, past_actions=1)
+    states, actions = draws.normal(3, 5, 6), draws.normal(3, 5, 2)
+    assert torch.equal(task.cost.function(states, actions), square(states[..., :4], actions))
+    assert task.cost.said == plain.cost.said
 
 
 @pytest.mark.usefixtures("quick")

@@ -23,7 +23,7 @@ from torch_pmil.search.sample_search import expected_cost
 from torch_pmil.search.trial_search import TrialSearch
 from torch_pmil.tasks.improving_task import ImprovingTask, improving
 from torch_pmil.tasks.task import Task
-from torch_pmil.trainer import trainer
+from torch_pmil.trainer import choice, trainer
 from torch_pmil.trainer.choice import SEED as SEED_OF_COSTS, SETTLED, best_candidate, is_settled
 from torch_pmil.trainer.ending import AGAIN, LIMIT, Ending
 from torch_pmil.trainer.trainer import PMILTrainer
@@ -192,6 +192,11 @@ def test_policy_of_least_expected_cost_is_saved_among_those_that_keep_the_promis
     ]
     assert settled == [False, True, True]
     assert min(costs) < SETTLED * max(costs)
+    with monkeypatch.context() as patched:  # costs may be negative
+        left = iter([-10.0, -10.0, -10.0, -11.0])
+        patched.setattr(choice, "expected_cost", lambda *_: next(left))
+        two = [Candidate(1, first, 0.0), Candidate(2, first, 0.0)]
+        assert [is_settled(two, loss, initial) for _ in range(2)] == [True, False]
     one, two = Candidate(1, dear, 0.0), Candidate(2, cheap, 0.0)
     assert chosen(made, (one, 1.0), (two, 0.95)) == 2
     assert chosen(made, (one, 1.0), (two, 0.5)) == 1  # it fails too often

@@ -107,6 +107,16 @@ def test_search_that_is_stuck_from_the_first_step_on() -> None:
     assert found.message.startswith("the KL of a step is 14 nats at 0.10 s (step 1 of 2)")
 
 
+def test_function_that_is_a_cost_has_no_setting_that_forgives_more() -> None:
+    settings = {name: value for name, value in SETTINGS.items() if name != "noise_std"}
+    stuck = check_search(torch.tensor([14.0, 30.0]), 1, "cost", "", "", [2] * 9, 0.1, settings)
+    assert re.search(r"a larger threshold \(search.trust_threshold=[\d.]+\)$", stuck.message)
+    assert (
+        "largest at 1 s; more trials with"
+        in unexplained(3, 20, 0.25, "largest at 1 s", settings).message
+    )
+
+
 def test_findings_of_one_cause_are_one_reason_in_the_order_in_which_they_came() -> None:
     found = group([Finding(*each) for each in (("b", "1st"), ("a", "2nd"), ("b", "3rd"))])
     assert [(reason.cause, reason.message) for reason in found] == [

@@ -5,10 +5,6 @@ growing horizon lets the robot tumble after them. Samples of functions stay apar
 blurring, so that the whole horizon can be searched at once. Their cost rises with the logarithm of
 the distance from the demonstrations: far trajectories still pull, but do not drown the near ones.
 
-A search may lower the mean cost of the cheapest trajectories alone. That is optimism about what
-the model does not know (Curi, Berkenkamp and Krause 2020): the robot then tries out whether the
-functions that would let it succeed are right.
-
 The gradient is that of pathwise derivatives, with a bound for each particle. It is noisy, so that
 L-BFGS is unfit for it: Adam takes its steps (Kingma and Ba 2015).
 """
@@ -36,11 +32,7 @@ JUDGES = 200  # particles by which policies are compared
 
 
 def search_on_samples(
-    loss: TrajectoryLoss,
-    initial: Gaussian,
-    steps: int,
-    generator: torch.Generator,
-    cheapest: float = 1.0,
+    loss: TrajectoryLoss, initial: Gaussian, steps: int, generator: torch.Generator
 ) -> MinimiseResult:
     """Lower the mean cost of sampled trajectories over the whole horizon by Adam.
 
@@ -49,7 +41,6 @@ def search_on_samples(
         initial: p(x_0).
         steps: of Adam, each on particles with starts and noise drawn anew.
         generator: seeded source of the draws.
-        cheapest: fraction of each step's trajectories, those of least cost, whose mean is lowered.
     """
     parameters = [each for each in loss.actor_network.parameters() if each.requires_grad]
     adam = torch.optim.Adam(parameters, lr=RATE)
@@ -62,7 +53,7 @@ def search_on_samples(
         noise = noise_of_steps(loss.dynamics, (*starts.shape[:-1], loss.horizon), generator)
         given = loss.begin(initial)[1], functions, loss.dynamics, loss.space, noise, units
         states = torch.cat([starts[..., None, :], follow_functions(starts, *given)], -2)
-        cost = mean_cost(loss, states, cheapest)
+        cost = mean_cost(loss, states)
         costs.append(cost.item())
         gradients = torch.autograd.grad(cost, parameters, allow_unused=True, materialize_grads=True)
         if not all(gradient.isfinite().all() for gradient in gradients):
@@ -97,10 +88,9 @@ def _rollouts(
     return sample_consistent_rollouts(start, policy, *given)
 
 
-def mean_cost(loss: TrajectoryLoss, states: Tensor, cheapest: float = 1.0) -> Tensor:
-    r"""Mean of the sums of costs of all trajectories (N, \*batch, T + 1, D), or the cheapest."""
-    costs = loss.sample_costs(states).sum(-1)
-    return costs.sort(0).values[: math.ceil(cheapest * len(costs))].mean()
+def mean_cost(loss: TrajectoryLoss, states: Tensor) -> Tensor:
+    r"""Mean over trajectories (N, \*batch, T + 1, D) of the sum of their costs."""
+    return loss.sample_costs(states).sum(-1).mean()
 
 
 @torch.no_grad()

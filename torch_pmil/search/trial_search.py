@@ -38,8 +38,7 @@ STEADYINGS = 8  # of one policy, while it gets no worse
 ALONE = 500  # steps of a search on samples that nothing follows
 HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
 PROMISING = 0.5  # that of a policy from samples, from which the loss is searched
-FAR_OFF = 0.1  # that of the last policy, below which the cheapest trajectories alone are searched
-CHEAPEST = 0.5  # fraction of these
+FAR_OFF = 0.1  # that of the last policy, below which samples are searched from a random one
 
 
 class TrialSearch:
@@ -57,10 +56,10 @@ class TrialSearch:
     searches take as many evaluations as the others, at most.
 
     With ``settings.sample_steps`` none of this is needed. The whole horizon is first searched on
-    samples, from the last policy (:func:`search_on_samples`). This is optimistic while the last
-    policy is predicted to fail from nearly all starts. The loss is searched from there only if
-    success is then predicted from half the starts: until then the trajectories part, and their
-    moments say little.
+    samples (:func:`search_on_samples`): from the last policy, or from a random one while that is
+    predicted to fail from nearly all starts. Such a policy may be at its limits all the time, where
+    gradients vanish. The loss is searched from there only if success is then predicted from half
+    the starts: until then the trajectories part, and their moments say little.
     The second policy is kept if it keeps the promise, else the one of less expected cost. Where
     policy, model or cost has no moments in closed form, the search on samples is the whole search,
     and goes on from a random policy if it led to nothing better than before.
@@ -142,8 +141,9 @@ class TrialSearch:
         self, loss: TrajectoryLoss, initial: Gaussian, search: Callable[[], SearchResult]
     ) -> SearchResult:
         """Search on samples, then the loss if they promise much, and keep the better policy."""
-        cheapest = CHEAPEST if self._rate(loss, initial) < FAR_OFF else 1.0
-        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps, cheapest)
+        if self._rate(loss, initial) < FAR_OFF:
+            loss.actor_network.load_state_dict(self.make_policy().state_dict())
+        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps)
         if self._rate(loss, initial) < PROMISING:
             return first
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
@@ -191,12 +191,10 @@ class TrialSearch:
         promise = self.promise
         return promise is not None and promise.predicted(loss, initial).least >= promise.aim
 
-    def _on_samples(
-        self, loss: TrajectoryLoss, initial: Gaussian, steps: int, cheapest: float = 1.0
-    ) -> SearchResult:
+    def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
         """Search the whole horizon on samples, from the present policy."""
         runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
-        runs.runs.append(search_on_samples(loss, initial, steps, self.generator, cheapest))
+        runs.runs.append(search_on_samples(loss, initial, steps, self.generator))
         self.report("samples", runs.runs[-1].loss)
         return runs.result(loss.horizon)
 

@@ -13,19 +13,13 @@ from torch import Tensor
 from tests.helpers.draws import Draws
 from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.search import trial_search
+from torch_pmil.search import success_search, trial_search
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
+from torch_pmil.search.success_search import STEADYINGS, search_for_success, steady_policy
 from torch_pmil.search.target_losses import ExpectedSaturatingCost
-from torch_pmil.search.trial_search import (
-    BOLDER,
-    PROGRESS,
-    STEADYINGS,
-    TrialSearch,
-    search_for_success,
-    steady_policy,
-)
+from torch_pmil.search.trial_search import BOLDER, PROGRESS, TrialSearch
 
 HORIZON = 6
 
@@ -99,8 +93,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[st
         loss.actor_network.weights.data.fill_(len(made))
         return outcome(float(len(made)))
 
-    monkeypatch.setattr(trial_search, "search_policy", lambda *_: search("random"))
-    monkeypatch.setattr(trial_search, "steady_policy", lambda *_: search("steady"))
+    monkeypatch.setattr(success_search, "search_policy", lambda *_: search("random"))
+    monkeypatch.setattr(success_search, "steady_policy", lambda *_: search("steady"))
     loss.actor_network.weights.data.zero_()
     return made
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from typing import Any
@@ -17,7 +17,6 @@ from torch import Tensor
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
-from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import (
     Report,
     SearchResult,
@@ -26,18 +25,17 @@ from torch_pmil.search.policy_search import (
     refit_policy,
     search_policy,
 )
-from torch_pmil.search.promise import PredictedSuccess, Promise
+from torch_pmil.search.promise import Promise
 from torch_pmil.search.sample_search import expected_cost, search_on_samples
+from torch_pmil.search.success_search import search_for_success
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.seeds import draw_seed
 
 # trust of a search that comes no further, and its last iterations, in those of the settings
 BOLDER = 4.0
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
-STEADYINGS = 8  # of one policy, while it gets no worse
 ALONE = 500  # steps of a search on samples that nothing follows
-HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
-PROMISING = 0.5  # that of a policy from samples, from which the loss is searched
+PROMISING = 0.5  # predicted success rate of a policy from samples, from which the loss is searched
 FAR_OFF = 0.1  # that of the last policy, below which samples are searched from a random one
 
 
@@ -221,103 +219,3 @@ class TrialSearch:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that :meth:`state_dict` returned."""
         self._least, self._credit = state_dict["least"], state_dict["credit"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A policy that a search found, and its predicted success."""
-
-    result: SearchResult
-    predicted: PredictedSuccess
-    parameters: dict[str, Tensor]
-
-    @property
-    def merit(self) -> tuple[float, float]:
-        return self.predicted.rate, -self.result.loss
-
-
-def search_for_success(
-    loss: TrajectoryLoss,
-    initial: Gaussian,
-    promise: Promise,
-    settings: SearchSettings,
-    result: SearchResult,
-    evaluations: int,
-    policies: Iterable[AnyPolicy] = (),
-    report: Report = lambda stage, loss: None,
-    optimizer: MakeOptimizer = torch.optim.LBFGS,
-) -> SearchResult:
-    """Search on until :attr:`PredictedSuccess.least` of the policy reaches :attr:`Promise.aim`.
-
-    The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
-    it gets no worse and is not hopeless. Then others are searched from random policies, and
-    steadied too. The policy with the highest predicted rate is kept, of several alike the one of
-    least loss.
-
-    Args:
-        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
-        promise: what the policy must keep.
-        result: outcome of the search that found the policy, which matches the whole horizon.
-        evaluations: of the loss, after which no other search begins.
-        policies: random policies of the same shape; no more are taken than are needed.
-
-    Returns:
-        The outcome of the search whose policy was kept, with the work of all searches.
-    """
-    network = loss.actor_network
-    found: list[_Found] = []
-
-    def judge(result: SearchResult) -> bool:
-        """Note the policy that was found; return whether a better one is needed."""
-        predicted = promise.predicted(loss, initial)
-        found.append(_Found(result, predicted, copy.deepcopy(network.state_dict())))
-        return predicted.least < promise.aim
-
-    def affordable() -> bool:
-        return sum(each.result.evaluations for each in found[1:]) < evaluations
-
-    def steady() -> bool:
-        """Steady the last policy; return whether a better one is still needed."""
-        if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
-            return True
-        for _ in range(STEADYINGS):
-            if not affordable():
-                break
-            if not judge(steady_policy(loss, initial, settings, report, optimizer)):
-                return False
-            if found[-1].predicted.rate < max(found[-2].predicted.rate, HOPELESS):
-                break
-        return True
-
-    needed, others = judge(result) and steady(), iter(policies)
-    while needed and affordable() and (policy := next(others, None)) is not None:
-        network.load_state_dict(policy.state_dict())
-        again = search_policy(loss, initial, settings, report, True, optimizer)
-        needed = judge(again) and steady()
-    best = max(found, key=lambda each: each.merit)
-    network.load_state_dict(best.parameters)
-    kept = best.result
-    for other in found:
-        kept = kept if other is best else kept.with_work_of(other.result)
-    return kept
-
-
-def steady_policy(
-    loss: TrajectoryKLLoss,
-    initial: Gaussian,
-    settings: SearchSettings,
-    report: Report = lambda stage, loss: None,
-    optimizer: MakeOptimizer = torch.optim.LBFGS,
-) -> SearchResult:
-    r"""Minimise the cross-entropy relative to the demonstrations over the whole horizon.
-
-    .. math:: \sum_t \mathbb E_{p(x_t^\pi)}[-\log p(x_t^{\exp})]
-
-    The policy of least KL to the demonstrations varies as much as they do, and fails as often as
-    they would. This search of ``settings.final_iterations`` narrows the prediction towards what is
-    most likely under the demonstrations. The ``loss`` of its outcome is the KL all the same.
-    Arguments and errors are those of :func:`search_policy`.
-    """
-    runs, horizon = SearchRuns(loss, initial, settings, report, optimizer), loss.horizon
-    runs.run("cross-entropy", loss.cross_entropy_per_step, horizon, settings.final_iterations)
-    return runs.result(horizon)

@@ -65,6 +65,17 @@ def test_stopped_run_goes_on_to_the_same_policy(tmp_path: Path) -> None:
     assert torch.equal(whole.task.centre_std, resumed.task.centre_std)
 
 
+def test_run_of_another_seed_begins_with_the_experience_of_a_run(tmp_path: Path) -> None:
+    """The policy's centres are where those of that run are."""
+    first = learned(short(), tmp_path / "first", 1)
+    out, seed = tmp_path / "second", 2
+    second = train(short(), seed, 1, out, "", False, resume=tmp_path / "first")
+    resumed = train(short(), seed, 2, out, "", False, resume=True)
+    for later in (second, resumed):
+        assert torch.equal(later.task.centre_std, first.task.centre_std)
+        assert len(later.dynamics.train_inputs) == 4 * 12  # two motions and two trials
+
+
 def test_run_with_another_cost_is_another_run(tmp_path: Path) -> None:
     learned(short(), tmp_path / "run", 1)
     other = short().with_settings(**{"cost.width": 0.2})

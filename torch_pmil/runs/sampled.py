@@ -46,7 +46,7 @@ def sampled(
         seed: of the run.
         out: its folder.
         resume: whether to continue the run that is there, with its motion and its sampling.
-        before: folder of another run, whose sampling and scale are taken.
+        before: folder of another run, whose sampling is taken, or whose motion gives the scale.
         report: called with what was chosen, in words, and why a robot is moved again.
 
     Raises:
@@ -55,10 +55,13 @@ def sampled(
     """
     if not (task.samplings or task.unscaled):
         return task, None
+    if task.unscaled and before is not None:
+        motion = _loaded(task, before / MOTION)
+        save_tensors(own(out, MOTION), vars(motion))
+        return task.scaled_by(motion.states), None  # it is part of that run's experience
     motion = _first_motion(task, seed, out, resume, report)
     if task.unscaled:
-        of_states = motion if before is None else _loaded(task, before / MOTION)
-        return task.scaled_by(of_states.states), motion.as_rollout(task)
+        return task.scaled_by(motion.states), motion.as_rollout(task)
     known = out if resume else before
     if known is not None and (known / SAMPLING).exists():
         choice = _read(task, known / SAMPLING)

@@ -18,7 +18,7 @@ import torch
 
 from benchmarks.command_line import add_json, source_of
 from reproduction.ablation import variations
-from reproduction.handwriting import written
+from reproduction.handwriting import TASKS as WRITERS, written
 from reproduction.learned import load_learned
 from reproduction.masses import SECOND_LINKS, with_second_link
 from reproduction.reproduction import root_of_runs
@@ -34,7 +34,7 @@ from torch_pmil.runs.diagnosis.measures import (
     moved_fraction,
     saturated_fraction,
 )
-from torch_pmil.runs.summaries import read_summary
+from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.tasks.task import Task
@@ -60,7 +60,8 @@ def experiment_of(name: str, known: dict[str, Task]) -> Task | None:
     """The experiment of a run; None if it is not among those that are known here."""
     if name.startswith("handwriting_") and name not in known:
         _, shape, robot = name.split("_", 2)
-        known[name] = written(shape, robot)
+        if robot in WRITERS:
+            known[name] = written(shape, robot)
     return known.get(name)
 
 
@@ -119,7 +120,10 @@ def main() -> None:
     torch.set_num_threads(1)
     known, runs, left_out = known_experiments(), [], 0
     for path in sorted(arguments.runs.rglob("summary.json")):
-        experiment = experiment_of(read_summary(path.parent)["experiment"], known)
+        try:
+            experiment = experiment_of(read_summary(path.parent)["experiment"], known)
+        except RunError:  # what a study left beside its runs
+            experiment = None
         if experiment is None:
             left_out += 1
             continue

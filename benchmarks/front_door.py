@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import shlex
-import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -27,11 +25,10 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from benchmarks.command_line import add_json
+from benchmarks.command_line import add_json, source_of
 from torch_pmil import PMIL, DemonstrationError
 from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.before_a_run import check
-from torch_pmil.runs.run_folder import provenance
 from torch_pmil.tasks.rehearsal import rehearse
 
 ERRORS = (DemonstrationError, TypeError, ValueError, OSError)
@@ -107,14 +104,12 @@ def write(
     rate: float = 10.0,
     stamps: Callable[[Array, int], Array] = lambda times, _: times,
     keep: Callable[[Array, int], Array] | None = None,
-    count: int = 5,
-    duration: float = 2.0,
     form: str = "%.12g",
 ) -> Path:
     """Five recordings of 2 s in a CSV file."""
     lines = []
-    for number in range(count):
-        times = np.arange(round(duration * rate) + 1) / rate
+    for number in range(5):
+        times = np.arange(round(2 * rate) + 1) / rate
         if keep is not None:
             times = times[keep(times, number)]
         shown = columns(times, number)
@@ -425,10 +420,10 @@ def main() -> None:
     for row in table:
         print(row)
     headline = {"cases": len(rows), "wrong": sum(row["wrong"] for row in table)}
-    command = shlex.join(["python", "-m", "benchmarks.front_door", *sys.argv[1:]])
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(
-        arguments.json, {**provenance(command), "headline": headline, "table": table, "rows": rows}
+        arguments.json,
+        {**source_of("front_door"), "headline": headline, "table": table, "rows": rows},
     )
 
 

@@ -100,7 +100,7 @@ def parse_arguments() -> argparse.Namespace:
         nargs="*",
         default=[50, 100],
         **whole,
-        help="more of them, at the two largest n",
+        help="more of them, at the largest of --sizes and at the largest n of all",
     )
     parser.add_argument(
         "--threads", default=1, **whole, help="of all rows but those of the speed-up"

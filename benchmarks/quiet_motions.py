@@ -16,8 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shlex
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,13 +23,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from benchmarks.command_line import add_json
+from benchmarks.command_line import add_json, source_of
 from reproduction.reproduction import root_of_runs
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.measures import LEARNED
-from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
@@ -73,9 +70,9 @@ def main() -> None:
     add_json(parser, "quiet_motions")
     arguments = parser.parse_args()
     if min(*arguments.seeds, arguments.trials - 1) < 0:
-        parser.error("seeds must not be negative, and trials be at least 1")
-    command = shlex.join(["python", "-m", "benchmarks.quiet_motions", *sys.argv[1:]])
-    source, rows = provenance(command), []
+        parser.error("seeds must not be negative, and trials must be at least 1")
+    source, rows = source_of("quiet_motions"), []
+    command = str(source["command"])
     for seed in arguments.seeds:
         for task in arguments.tasks:
             for motion in arguments.motions:
@@ -123,7 +120,8 @@ def quiet_experiment(task: str, motion: str) -> Task:
     def distance(states: Tensor) -> Tensor:
         return ((space.observe(states[..., 1:, :]) - mean) / noise_std).abs().amax((-2, -1))
 
-    experiment = replace(experiment, error=of_states(distance), tolerance=TOLERANCE)
+    known = {"error": of_states(distance), "tolerance": TOLERANCE}
+    experiment = replace(experiment, name=f"{task}_{motion}", **known)
     return experiment.with_settings(confirmations=2)
 
 

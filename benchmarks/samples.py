@@ -42,7 +42,6 @@ from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.promise import SAMPLES
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
 
 SIZES = (100, 200, 400, 1000, 5000)
@@ -124,7 +123,7 @@ def run(name: str, seed: int) -> list[dict[str, Any]]:
             return
         rollouts = env.rollout(task.horizon, trainer.robot_policy)
         success = float((task.error(rollouts) <= task.tolerance).float().mean())
-        rows.append({"seed": seed, "success": success, **scores(trainer, task, rollouts, success)})
+        rows.append({"seed": seed, "success": success, **scores(trainer, rollouts, success)})
         print(name, rows[-1], flush=True)
 
     trainer.register_op("post_steps", judge)
@@ -133,9 +132,7 @@ def run(name: str, seed: int) -> list[dict[str, Any]]:
 
 
 @torch.no_grad()
-def scores(
-    trainer: PMILTrainer, task: Task, rollouts: Tensor, success: float
-) -> dict[str, float | None]:
+def scores(trainer: PMILTrainer, rollouts: Tensor, success: float) -> dict[str, float | None]:
     """What the trial's model predicted of these rollouts, and how far that was from them."""
     loss, promise = trainer.loss_module, trainer.promise
     given = loss.actor_network, loss.dynamics, loss.space, loss.horizon

@@ -1,9 +1,9 @@
 """TorchRL's PILCO task, InvertedPendulum-v5, with this package's model, policy and environment.
 
-The recipe is that of TorchRL's ``sota-implementations/pilco``: 200 steps of random forces, then
-three times a fit of the model, a minimisation of TorchRL's expected cost of an imagined rollout,
-and a rollout on the robot; but the minimisation is L-BFGS, where TorchRL takes 100 steps of Adam.
-Learned means: the pole stays up for all 1000 steps (40 s) of every evaluation episode. With
+The recipe is that of TorchRL's ``sota-implementations/pilco``. After 200 steps of random forces it
+repeats three steps three times: fit the model, minimise TorchRL's expected cost of an imagined
+rollout, and roll out on the robot. It minimises by L-BFGS, where TorchRL takes 100 steps of Adam.
+The task is learned if the pole stays up for all 1000 steps (40 s) of every evaluation episode. With
 ``--compare N``, N gradient steps of the same work are timed with these pieces and with TorchRL's.
 
 Example:

@@ -35,7 +35,7 @@ def main() -> None:
     with ends_in_one_line(command):
         out, results = reproduce(PAPER[arguments.name], arguments.quick, command)
     for name, value in results.headline.items():
-        print(f"{name}: {'never' if value is None else f'{value:.4g}'}")
+        print(f"{name}: {'none' if value is None else f'{value:.4g}'}")
     print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in results.figures)}")
 
 

@@ -127,7 +127,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 
 
 def results_of_variants(labels: Mapping[str, str], name: str, runs: Sequence[dict]) -> Results:
-    """The same of any variants with equally many runs, and both less those of the first.
+    """Success and experience of variants with equally many runs, and differences from the first.
 
     Args:
         labels: of the variants in the figure, by their names.

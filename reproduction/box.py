@@ -74,7 +74,7 @@ class Excursions:
 def excursions(folder: Path, box: StateBox, period: float) -> Excursions:
     """Excursions of all rollouts of a run, the exploration included.
 
-    They are in its last checkpoint, of which the last rollout is still with the collector.
+    The last checkpoint holds them; the collector still has the last rollout.
 
     Raises:
         RunError: the run left no checkpoint.

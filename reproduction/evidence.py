@@ -1,4 +1,4 @@
-"""All results of the repository anew: those that other sources made, one command after the other.
+"""Make anew each summary.json in results/ that other sources made, one command after the other.
 
 Example:
     make evidence

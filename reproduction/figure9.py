@@ -74,10 +74,7 @@ def size(quick: bool) -> tuple[Sequence[float], Sequence[int], Sequence[float]]:
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Mean score at each frequency over the recordings, with its t interval, for each length.
-
-    With the best frequency.
-    """
+    """For each length, mean scores over the recordings with t intervals, and the best frequency."""
     lengths, seeds, frequencies = size(quick)
     scores = iter([read_score(folder) for folder in folders])
     headline: dict[str, float] = {}

@@ -17,13 +17,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from reproduction.learned import executed, load_learned
+from reproduction.learned import load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.cart_pole import POLE_LENGTH, CartPoleEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.runs.summaries import read_summary
 from torch_pmil.search.saturating_cost import saturating_cost
 from torch_pmil.search.target_costs import SaturatingCost
 from torch_pmil.tasks.cart_pole import cart_pole_space
@@ -122,8 +121,8 @@ def seconds_until_up(observed: Tensor) -> Tensor:
 def _measured(folder: Path, way: str) -> dict[str, Any]:
     """The main numbers of a run, and means over rollouts of its policy from fresh starts."""
     task = tasks()[way]
-    policy, summary = load_learned(folder, task).policy, read_summary(folder)
-    rollouts = executed(policy, task, STARTS, START_SEED)
+    learned = load_learned(folder, task)
+    summary, rollouts = learned.summary, learned.rollouts(task, STARTS, START_SEED)
     observed, errors = task.space.observe(states_of(rollouts)[:, 1:]), task.error(rollouts)
     return {
         "experiment": task.name,

@@ -31,7 +31,6 @@ FEWER = 2  # seeds of the Matern kernel, whose formulas in PyTorch take minutes 
 GRAVITY, FRICTION, PERIOD, SUBSTEPS = 9.82, 0.1, 0.1, 2
 OFF = 4 / 3  # by which masses and length of the physics are wrong
 CART, POLE, LENGTH = OFF * 0.5, OFF * 0.5, OFF * 0.6  # kg, kg, m
-FORCE = 10.0  # N
 
 
 def two_layers(inputs: int, outputs: int) -> nn.Module:

@@ -32,7 +32,7 @@ from torch_pmil.tasks.one_motor import LINE
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
-TRIALS = 9  # the last one with 30 s of experience
+TRIALS = 9  # 30 s of experience in all, with the first motion
 STARTS, START_SEED = 20, 11_000_000  # no start that a run has seen
 LONG = 10.0  # s, of the AI Olympics
 SCORE_SEED = 0  # of noise and pushes

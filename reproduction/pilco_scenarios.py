@@ -1,6 +1,6 @@
 r"""The robots of the PILCO literature, learned from a cost alone; ten seeds.
 
-Pendulum, cart-pole, double pendulum, and a double pendulum on a cart (Deisenroth 2010, Chapter 3;
+Pendulum, cart-pole and double pendulum (Deisenroth 2010, Chapter 3;
 Deisenroth and Rasmussen 2011) are chains of uniform rods with absolute angles :math:`\theta_j` from
 upright. The centre of rod i is at :math:`x + \sum_j c_{ij} \sin\theta_j` and
 :math:`\sum_j c_{ij} \cos\theta_j`, with :math:`c_{ij} = l_j` below rod i and half of that of rod i

@@ -45,8 +45,6 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     """The runs of ``pmil train experiment=double_pendulum_targets``, and narrow ones beside.
 
     Each is measured everywhere on the grid.
-
-    Each is measured everywhere on the grid.
     """
     studies = [study.quick if quick else study for study in (PLACES, NARROW_PLACES)]
     return [run for study in studies for run in study.needed_runs(root)]

@@ -23,7 +23,7 @@ from torch_pmil.tasks.with_history import with_history
 
 Tasks = Callable[[], Mapping[str, Task]]
 
-TRIALS = 11  # the last one with 30 s of experience
+TRIALS = 11  # 30 s of experience in all, with the first motion
 STARTS, START_SEED = 100, 10_000_000  # no start that a run has seen
 
 

@@ -21,6 +21,7 @@ from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError, is_finished
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.task import Task
+from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement
 
 # entries of each run's summary that results repeat
@@ -44,10 +45,22 @@ class Run:
         out: its folder; it is finished when there is a ``summary.json``.
         learn: called with the folder and a command to say in the summary, perhaps in another
             process. It goes on from where it was stopped, and writes ``summary.json`` last.
+        trials: largest number of trials, if there is one; a run that ended at a smaller one goes
+            on.
     """
 
     out: Path
     learn: Callable[[Path, str], object]
+    trials: int = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to learn."""
+        if not is_finished(self.out):
+            return False
+        summary = read_json(self.out / "summary.json")
+        at_limit = summary.get("stop_reason") == LIMIT
+        return not (at_limit and len(summary["trials"]) < self.trials)
 
 
 @dataclass(frozen=True)
@@ -127,7 +140,7 @@ def learning_run(root: Path, experiment: Task, seed: int, trials: int = 12) -> R
         'runs/double_pendulum/seed_3'
     """
     learn = partial(_learn, experiment=experiment, seed=seed, trials=trials)
-    return Run(root / experiment.name / f"seed_{seed}", learn)
+    return Run(root / experiment.name / f"seed_{seed}", learn, trials)
 
 
 def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Results]:
@@ -180,7 +193,7 @@ def finish(runs: Sequence[Run], command: str) -> None:
     Raises:
         RunError: some failed, after the others were given their time; the message names each.
     """
-    missing = [run for run in runs if not is_finished(run.out)]
+    missing = [run for run in runs if not run.finished]
     if not missing:
         return
     jobs = min(joblib.cpu_count(), len(missing))

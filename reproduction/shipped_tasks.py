@@ -1,4 +1,4 @@
-"""Ten seeds of five shipped tasks, and thirty of the double pendulum, into results/tasks/NAME.
+"""Thirty seeds of the double pendulum and ten of four other tasks, into results/tasks/NAME.
 
 ``make results`` is ``python -m reproduction.shipped_tasks``. What was learned with the present
 sources is not learned again, and what was stopped goes on.

@@ -22,7 +22,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure, plot_heat_map
 from torch_pmil.runs.run_folder import provenance
-from torch_pmil.runs.summaries import RunError, is_finished
+from torch_pmil.runs.summaries import RunError
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import search_policy
 from torch_pmil.tasks.targets import TargetTask
@@ -85,7 +85,7 @@ class TargetStudy:
     def _measure(self, out: Path, command: str, root: Path, seed: int) -> None:
         source, begun, experiment = provenance(command), time.perf_counter(), self.experiment()
         learning = learning_run(root, experiment, seed, self.trials)
-        if not is_finished(learning.out):
+        if not learning.finished:
             learning.learn(learning.out, command)
         learned = load_learned(learning.out, experiment)
         modules = policies_of_methods(learned, experiment)

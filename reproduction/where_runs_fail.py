@@ -31,7 +31,7 @@ from reproduction.reproduction import OF_RUN, PaperExperiment, Results, Run, lea
 from reproduction.soak.tasks import ROBOT, TASKS, SoakTask
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure
-from torch_pmil.runs.summaries import is_finished, read_summary
+from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.handwriting import SUCCESS_RATIO
 from torch_pmil.tasks.task import Task
 
@@ -77,7 +77,7 @@ def _replay_of(root: Path, experiment: Task, seed: int, size: Size) -> Run:
 
 def _replay(out: Path, command: str, learning: Run, experiment: Task, samples: int) -> None:
     """Learn a run, unless it is finished, and write what its replay shows."""
-    if not is_finished(learning.out):
+    if not learning.finished:
         learning.learn(learning.out, command)
     summary = read_summary(learning.out)
     kept = (*OF_RUN, "saved_trial", "saved_success_rate", "stop_reason")

@@ -119,16 +119,18 @@ class RemoteRobot:
 
     def _newest(self) -> State:
         age = self._age(self._stamp)
-        while (
-            state := self.next_state(math.ceil(1000 * max(0.0, self._timeout - age)))
-        ) is not None:
+        while (state := self.next_state(self._left(age))) is not None:
             age = self._age(state.stamp)
             if age <= self._timeout:
                 return state
-        raise RobotError(f"no state has come from the robot for {age:.3f} s")
+        raise RobotError(f"no state has come from the robot within {self._timeout:g} s")
+
+    def _left(self, age: float) -> int:
+        """Milliseconds to wait for a state where the newest one is that old, in s."""
+        return math.ceil(1000 * min(max(0.0, self._timeout - age), self._timeout))
 
     def _received(self) -> State:
-        """The message that is there. The fastest one so far says how far apart the clocks are."""
+        """The message that is there. The fastest message so far gives the offset of the clocks."""
         state = unpack_state(self._states.recv(), self._dim)
         self._stamp = state.stamp
         self._offset = min(self._offset, time.monotonic() - state.stamp)

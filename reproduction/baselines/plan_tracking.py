@@ -1,8 +1,8 @@
-r"""A plan on the mean of the learned model, and a policy that follows it: a start of a search.
+r"""A plan on the mean of the learned model, and the feedback that follows it.
 
 Control-limited iterative LQR finds the actions whose states, under the mean of the model, are
-nearest to the mean demonstration; a time-varying LQR with the same weights follows the plan. What
-the model does not know is not seen: that is what the search adds, which starts from it.
+nearest to the mean demonstration; a time-varying LQR with the same weights follows the plan. The
+plan ignores the model's uncertainty.
 
 Source: Y. Tassa, N. Mansard and E. Todorov (2014), Control-limited differential dynamic
 programming, ICRA.
@@ -29,15 +29,12 @@ from reproduction.teachers.trajectory_optimization import (
 )
 from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.tasks.task import Task
 
 TURN = 2 * np.pi  # rad
-SAMPLES = 20  # states a time step, at which a policy is fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +72,9 @@ class PlanTracking:
     .. math:: \min_u \tfrac12 \sum_t (x_t - \bar x_t)^\top W_t (x_t - \bar x_t)
         + \tfrac12 \rho \sum_t \tilde u_t^\top \tilde u_t
 
-    with W_t the inverse of the demonstrated variances plus those of the start, and the actions told
-    from those that hold the robot there, if they are known, or from the middle of their range, in
-    halves of their range.
+    with W_t the inverse of the demonstrated variances plus those of the start. The actions are in
+    halves of their range. They are measured from those that hold the robot there, or, if these are
+    unknown, from the middle of the range.
 
     Args:
         space, actions: of the robot.
@@ -166,18 +163,6 @@ class PlanTracking:
 
     def _gains(self, successors: Dynamics, plan: Plan, weights: Array) -> Array:
         return tracking_gains(successors, plan, weights[:-1], self.effort, np.diag(weights[-1]))
-
-    def fit_policy(
-        self, policy: RBFPolicy, tracked: TrackedPlan, generator: torch.Generator
-    ) -> None:
-        """Fit a policy's weights to the actions of a tracked plan, at states near the plan."""
-        std = self.variance.sqrt()
-        states, actions = [], []
-        for step, planned in enumerate(torch.from_numpy(tracked.plan.states[:-1])):
-            white = normal((SAMPLES, len(planned)), planned, generator)
-            states.append(planned + std[step] * white)
-            actions.append(tracked.act(step, states[-1]))
-        policy.fit_weights(self.space.features(torch.cat(states)), torch.cat(actions))
 
 
 def plan_tracking(task: Task, action_weight: float) -> PlanTracking:

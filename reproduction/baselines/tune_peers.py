@@ -7,12 +7,12 @@ Each configuration is the peer's own but for what ``CONFIGURATIONS`` says. The b
 largest mean success rate over seeds and over 12.5, 25 and 50 s of experience; of those that tie,
 the first.
 
-This is all that was compared so: two seeds for each of few configurations. Before it, on the double
-pendulum, the cost, plan and learning rate of the ensemble were found by hand, with the seeds 100,
-101 and 150 to 152, and with the seeds 100 and 101 the limit of the particles' slopes, and that a
-discriminator is to see the match space; on handwriting, with seed 100, that more candidates and
-iterations of the ensemble's planner are worth a try. Particles have half the experience of the
-others, since their searches take longest.
+Nothing else was compared in this way: two seeds for each of a few configurations. Some choices were
+made by hand before. On the double pendulum these are the cost, plan and learning rate of the
+ensemble (seeds 100, 101 and 150 to 152). With the seeds 100 and 101 they are the limit of the
+particles' slopes, and that the discriminator sees the match space. Handwriting with seed 100
+suggested more candidates and iterations for the ensemble's planner. Particles have half the
+experience of the others, since their searches take longest.
 
 What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in
 runs/SOURCES/tuning.

@@ -142,8 +142,8 @@ def forecasts_of(trials: Sequence[dict]) -> list[Forecast]:
 def headline_of(rows: Sequence[Row]) -> dict[str, float | None]:
     """The main numbers of all runs.
 
-    Those who *claimed* ended since they had learned, as they say. A promise is kept by those of
-    them that succeed from at least that fraction of 100 fresh starts.
+    A run *claimed* success if it ended because it had learned. It keeps its promise if it succeeds
+    from at least the promised fraction of 100 fresh starts.
 
     Args:
         rows: of all runs, see :func:`row_of`.

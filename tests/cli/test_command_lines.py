@@ -300,7 +300,10 @@ LINES = (
     ("align own.csv out.npz --velocities z", "velocities must be columns of x, y, got z"),
     ("align own.csv out.npz --derive dx=x", "--derive needs --smooth PERIOD"),
     ("align own.csv out.npz --derive dx --smooth 0.3", "argument --derive: must be VELOCITY="),
-    ("align own.csv out.npz --derive dz=z --smooth 0.3", "velocities must be columns of x, y, got"),
+    (
+        "align own.csv out.npz --derive dz=z --smooth 0.3",
+        "positions of --derive must be columns",
+    ),
     ("align own.csv out.npz --smooth nan", "period must be positive and at most the duration"),
     ("align own.csv out.npz --fastest -1", "fastest must be positive, got "),
     ("align own.csv out.npz --marker 1 2 3", "argument --marker: expected 4 arguments"),

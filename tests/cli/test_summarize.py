@@ -100,7 +100,7 @@ def test_results_do_not_replace_a_file_of_another(
 ) -> None:
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     (tmp_path / "runs" / name).write_text("mine")
-    with pytest.raises(SystemExit, match=f"{name} is not of pmil summarize: move it, or choose"):
+    with pytest.raises(SystemExit, match=f"{name} was not written by pmil summarize: move"):
         summarize(run)
     assert (tmp_path / "runs" / name).read_text() == "mine"
     assert {*os.listdir(tmp_path / "runs")} == {run.name, name}

@@ -54,7 +54,7 @@ def test_what_never_came_about_is_told_and_written_as_such(
 ) -> None:
     monkeypatch.setitem(PAPER, "figure6", toy(experience_to_95=None))
     script("figure6")
-    assert "experience_to_95: never\n" in capsys.readouterr().out
+    assert "experience_to_95: none\n" in capsys.readouterr().out
     written = json.loads(Path("results/paper/figure6/summary.json").read_text())
     assert written["headline"]["experience_to_95"] is None
 

@@ -57,8 +57,8 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     known = recordings.names
     names = [*known, *(velocity for velocity, _ in options.derive)]
     rates = [*options.velocities, *names[len(known) :]]
-    given = [*options.velocities, *(position for _, position in options.derive)]
-    check_columns("velocities", given, known)
+    check_columns("velocities", options.velocities, known)
+    check_columns("positions of --derive", [position for _, position in options.derive], known)
     check_columns("angles", options.angles, known)
     if not recordings.in_seconds:
         check_times(recordings.times, options.time_step)
@@ -72,7 +72,8 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     for doubt in [*prepared.holes(), *jumps_by_turns(recordings)]:
         print(f"warning: {doubt}", file=sys.stderr)
     if options.crop:
-        preprocessed = [cropped(*one, range(len(known), len(names))) for one in preprocessed]
+        columns = [names.index(rate) for rate in rates]
+        preprocessed = [cropped(*one, columns) for one in preprocessed]
         times, values = zip(*preprocessed, strict=True)
         prepared = replace(prepared, times=times, values=values)
     reference, labels = options.reference, recordings.labels

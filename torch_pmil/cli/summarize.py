@@ -69,7 +69,7 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     if len(names) > 1:
         raise RunError(f"runs must be of one experiment, got {', '.join(names)}")
     curve = summaries.success_over_experience(runs)
-    out = out or Path(os.path.commonpath([path.parent for path in paths]))
+    out = out or Path(os.path.commonpath([path.parent.absolute() for path in paths]))
     if out.resolve() in [path.resolve() for path in paths]:
         raise RunError(f"{out} is a run: the results would replace its summary.json")
     _check_ours(out)
@@ -90,13 +90,15 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
 
 
 def _check_ours(out: Path) -> None:
-    """Raise RunError if files are there of the names of the results that are not such results."""
+    """Raise RunError if the results would replace files that pmil summarize did not write."""
     names, earlier = ("summary.json", "success_over_experience.png"), None
     with suppress(OSError, ValueError):
         earlier = read_json(out / names[0], most=MERGED_BYTES)
     there = [out / name for name in names if os.path.lexists(out / name)]
     if there and not (isinstance(earlier, dict) and "success_over_experience" in earlier):
-        raise RunError(f"{there[0]} is not of pmil summarize: move it, or choose another --out")
+        raise RunError(
+            f"{there[0]} was not written by pmil summarize: move it, or choose another --out"
+        )
 
 
 def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:

@@ -70,8 +70,8 @@ The settings, as they would be now:
 
 {}
 
-FILE is YAML with NAME: VALUE in each line, as settings.yaml in the folder of a run. What is given
-beside it takes the place of what it holds. The value null is the experiment's own.
+FILE is YAML with NAME: VALUE in each line, like settings.yaml in the folder of a run. Settings on
+the command line override it. The value null means the experiment's own setting.
 
 pmil train -m "seed=range(10)" learns several runs, as many at once as there are cores."""
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors

@@ -75,7 +75,7 @@ def _draw_stack(
     for index, (name, heights) in enumerate(parts.items()):
         look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.4, "label": name}
         look["color"] = colours[index % len(colours)]
-        look["hatch"] = HATCHES[index // len(colours)]
+        look["hatch"] = HATCHES[index // len(colours) % len(HATCHES)]
         panel.bar(time, heights, width, bottom=below, **look)
         below = below + heights
     panel.set(ylabel="KL (nats)", xlim=(time[0] / 2, time[-1] + time[0] / 2))

@@ -13,7 +13,6 @@ from torch import Tensor
 from reproduction.baselines.plan_tracking import PlanTracking, plan_tracking
 from reproduction.teachers.swing_up import array_dynamics
 from reproduction.teachers.trajectory_optimization import QuadraticCost, plan_trajectory
-from tests.helpers.short_run import quick_fits
 from torch_pmil.envs import CartPoleEnv
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.tasks.registry import load_experiment
@@ -133,23 +132,3 @@ def test_costly_actions_are_those_that_hold() -> None:
         tracked = tracking.plan(dynamics, tracking.first_guess)
         away.append(np.abs(tracked.plan.actions - tracking.first_guess).max())
     assert away[1] < 1e-3 < away[0]
-
-
-def test_fitted_policy_acts_as_the_plan_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick_fits(monkeypatch)
-    experiment = load_experiment("double_pendulum")
-    # calm, so that a smooth network can follow
-    tracking = first_steps(plan_tracking(experiment, 1e4))
-    tracked = tracking.plan(fitted(experiment), tracking.first_guess)
-    generator = torch.Generator().manual_seed(0)
-    policy = experiment.make_policy(generator)
-    planned = torch.from_numpy(tracked.plan.states[:-1])
-    wanted = torch.cat([tracked.act(step, x[None]) for step, x in enumerate(planned)])
-
-    def apart() -> float:
-        with torch.no_grad():
-            return (policy(experiment.space.features(planned)) - wanted).abs().mean().item()
-
-    before = apart()
-    tracking.fit_policy(policy, tracked, generator)
-    assert apart() < 0.5 * before

@@ -315,8 +315,10 @@ def resampled(values: Tensor = WALK, time_step: float = 1.0) -> Tensor:
     return resample(values, TIMES, time_step)
 
 
-def recordings(labels: object = ("1",), times: object = (TIMES,)) -> Recordings:
-    return Recordings(labels, times, (WALK,), ("x",))
+def recordings(
+    labels: object = ("1",), times: object = (TIMES,), values: object = (WALK,)
+) -> Recordings:
+    return Recordings(labels, times, values, ("x",))
 
 
 def changed(**changes: object) -> Task:
@@ -846,6 +848,8 @@ MISUSES: list[Misuse] = [
     ),
     *ill_shown(recordings, "labels, times and values must", labels=[("1", "2")]),
     *ill_shown(recordings, "demonstration 1, sample 1,", times=[(TIMES.flip(0),)]),
+    *ill_shown(recordings, "time must be a finite number, got inf", times=[(full(INF, 5),)]),
+    *ill_shown(recordings, "must hold 1 entries at each of at least one", values=[(TIMES,)]),
     # experiments
     *wrong(
         load_experiment,

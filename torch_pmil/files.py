@@ -172,7 +172,7 @@ def read_json(path: Path | str, most: int = TEXT_BYTES, finite: bool = False) ->
 def parse_json(text: bytes, finite: bool = False) -> Any:
     """The content of JSON in UTF-8; raises FileError if it is not JSON.
 
-    With ``finite`` NaN, Infinity and numbers beyond float64, which Python reads, are errors too.
+    With ``finite`` NaN, Infinity and decimal fractions beyond float64 are errors too.
 
     Example:
         >>> parse_json(b'{"seed": 0}')

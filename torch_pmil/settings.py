@@ -150,6 +150,7 @@ class Settings:
             changes: numbers, lists of them, true and false; a whole group by its field's name.
 
         Raises:
+            TypeError: a group is not Settings.
             ValueError: there is no such setting, or one is of another type, shape or range.
 
         Example:

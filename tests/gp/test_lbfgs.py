@@ -126,7 +126,7 @@ def test_failures_in_a_part_of_the_space_are_survived_and_counted(failure: str) 
 
 def test_gradient_that_is_not_finite_is_a_failure() -> None:
     """sqrt has no slope at zero."""
-    x, message = parameter(0.0), r"must be finite with a finite gradient, got 0\.0 and inf"
+    x, message = parameter(0.0), r"must be below 1e\+10, with a finite gradient, got 0\.0 and inf"
     with pytest.raises(NotFiniteError, match=message):
         minimise([x], lambda: x.sqrt().sum(), max_iterations=5)
 

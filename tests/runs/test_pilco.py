@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil import PILCO, CostTask, SaturatingCost, load_policy, own_cost
+from torch_pmil.runs import learner
+from torch_pmil.runs.learner import Learner
 from torch_pmil.runs.training import RunResult, train
 
 
@@ -35,7 +37,7 @@ def test_pole_is_brought_to_rest_in_the_middle(seed: int, tmp_path: Path) -> Non
     assert (tmp_path / "run" / "report.html").exists()
 
 
-def short(**settings: object) -> CostTask:
+def short(control_period: float = 0.04, **settings: object) -> CostTask:
     """A task whose searches take a moment."""
     pytest.importorskip("gymnasium")
     quick = {"mean_iterations": 1, "stage_iterations": 2, "final_iterations": 2, "restarts": 0}
@@ -43,7 +45,7 @@ def short(**settings: object) -> CostTask:
         "InvertedPendulum-v5",
         SaturatingCost(target={"q": 0.0}, width=0.1),
         horizon=12,
-        control_period=0.04,
+        control_period=control_period,
         state=("x", "q", "dx", "dq"),
         num_centres=5,
         **{f"search.{name}": value for name, value in quick.items()},
@@ -74,6 +76,23 @@ def test_run_of_another_seed_begins_with_the_experience_of_a_run(tmp_path: Path)
     for later in (second, resumed):
         assert torch.equal(later.task.centre_std, first.task.centre_std)
         assert len(later.dynamics.train_inputs) == 4 * 12  # two motions and two trials
+
+
+def test_experience_at_another_rate_is_refused(tmp_path: Path) -> None:
+    learned(short(), tmp_path / "first", 1)
+    with pytest.raises(ValueError, match=r"has control_period = 0\.04, got 0\.08: it cannot go on"):
+        train(short(0.08), 1, 1, tmp_path / "second", "", False, resume=tmp_path / "first")
+
+
+def test_a_learner_learns_each_seed_as_if_it_were_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learner, "tell_all", lambda *_: [])
+    twice, alone = Learner(short()), Learner(short())
+    for seed in (1, 2):
+        twice.learn(trials=1, seed=seed, out=tmp_path / f"twice_{seed}")
+    alone.learn(trials=1, seed=2, out=tmp_path / "alone")
+    assert torch.equal(twice.task.centre_std, alone.task.centre_std)
 
 
 def test_run_with_another_cost_is_another_run(tmp_path: Path) -> None:

@@ -80,7 +80,8 @@ def load_demonstrations(
     """Load demonstrations that have the same number of samples and one time step.
 
     Arguments and errors are those of :func:`load_recordings`. If the file holds times, their step
-    must be ``time_step``, unless that is None.
+    must be ``time_step``, unless that is None; a Minari or robomimic file is taken to have that
+    step.
 
     Raises:
         DemonstrationError: also if lengths or time steps differ.

@@ -67,7 +67,7 @@ class Recordings:
                 "labels, times and values must be as many, one for each demonstration, got "
                 f"{counts[0]}, {counts[1]} and {counts[2]}"
             )
-        check_names(self.names, self.values[0].shape[1])
+        check_names(self.names, self.values[0].shape[1] if self.values[0].ndim == 2 else entries)
         for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
             if values.shape != (len(times), entries) or not len(times):
                 raise DemonstrationError(
@@ -77,6 +77,9 @@ class Recordings:
             self._check_numbers(demonstration, times, values)
 
     def _check_numbers(self, demonstration: int, times: Tensor, values: Tensor) -> None:
+        for sample in (~times.isfinite()).nonzero().flatten().tolist()[:1]:
+            where, found = self.place(demonstration, sample), times[sample].item()
+            raise DemonstrationError(f"{where}, time must be a finite number, got {found}")
         for sample, entry in (~values.isfinite()).nonzero()[:1].tolist():
             name, number = self.names[entry], values[sample, entry].item()
             raise DemonstrationError(

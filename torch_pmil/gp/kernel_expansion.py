@@ -193,6 +193,8 @@ class KernelExpansion:
             tensor([[1.],
                     [0.]])
         """
+        if self.gram_inverse is not None:
+            raise ValueError("known inputs must be those of a function without variance, got a GP")
         D = self.num_inputs - known.shape[-1]
         (inputs, others), (lengthscales, widths) = (
             t.tensor_split([D], -1) for t in (self.inputs, self.lengthscales)

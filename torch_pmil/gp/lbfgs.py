@@ -45,7 +45,8 @@ def minimise(
     """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search, or another optimiser.
 
     The parameters end at the best point that was seen. Where the objective raises one of the errors
-    in ``survives``, or value or gradient are not finite, the line search steps back.
+    in ``survives``, the value is 1e10 or more, or value or gradient are not finite, the line search
+    steps back.
 
     Args:
         parameters: changed in place.
@@ -193,7 +194,8 @@ class _Guard:
         largest = gradient.abs().max().item()
         if not (abs(loss) < LARGEST_LOSS and largest < float("inf")):
             raise NotFiniteError(
-                f"the objective must be finite with a finite gradient, got {loss} and {largest}"
+                f"the objective must be below {LARGEST_LOSS:g}, with a finite gradient, got {loss} "
+                f"and {largest}"
             )
         if self.evaluations == 1:
             self.initial_loss = loss

@@ -6,7 +6,6 @@ import logging
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -27,7 +26,6 @@ class Experience:
 
     Args:
         capacity: largest number of transitions, a whole number of at least 1.
-        folder: folder of the memory-mapped files; a temporary one if None.
 
     Example:
         >>> experience = Experience(capacity=100)
@@ -35,11 +33,11 @@ class Experience:
         0
     """
 
-    def __init__(self, capacity: int, folder: Path | str | None = None) -> None:
+    def __init__(self, capacity: int) -> None:
         check_whole("capacity", capacity, 1)
-        storage = LazyMemmapStorage(capacity, scratch_dir=folder, existsok=True)
+        storage = LazyMemmapStorage(capacity)
         self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=capacity)
-        self.capacity, self._folder = capacity, folder
+        self.capacity = capacity
 
     def __len__(self) -> int:
         return len(self.buffer)
@@ -94,7 +92,7 @@ class Experience:
         There is room for as many more: they may be of another run.
         """
         self.capacity += state_dict["count"]
-        storage = LazyMemmapStorage(self.capacity, scratch_dir=self._folder, existsok=True)
+        storage = LazyMemmapStorage(self.capacity)
         self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=self.capacity)
         if state_dict["count"]:
             self.extend(TensorDict(state_dict["transitions"], batch_size=[state_dict["count"]]))

@@ -98,8 +98,12 @@ class ForwardModel(nn.Module):
 
     @property
     def lengthscales(self) -> Tensor:
-        """Distances (E, D' + F) of inputs that are far from each other: the spread of the data."""
-        return self.train_inputs.std(0).expand(self.num_outputs, -1)
+        """Distances (E, D' + F) of inputs that are far from each other: the spread of the data.
+
+        One for an input that never changes.
+        """
+        spread = self.train_inputs.std(0)
+        return torch.where(spread > 0, spread, 1.0).expand(self.num_outputs, -1)
 
     @property
     def sparse(self) -> bool:

@@ -28,12 +28,14 @@ class PastEvidence:
         of_state: nats by how the state changed over the last period.
         transitions: number of transitions that are the evidence.
         time_step: a period, s.
+        remembered: how many of the last actions the state holds already.
     """
 
     of_actions: Mapping[int, float]
     of_state: float
     transitions: int
     time_step: float
+    remembered: int = 0
 
     @property
     def periods(self) -> int:
@@ -73,7 +75,7 @@ class PastEvidence:
         return self._beyond_its_price(self.periods) >= self.of_state - LIKELY
 
     def _beyond_its_price(self, periods: int) -> float:
-        return self.of_actions[periods] - LIKELY * periods
+        return self.of_actions[periods] - LIKELY * (periods - self.remembered)
 
 
 def evidence_of_the_past(
@@ -99,6 +101,7 @@ def evidence_of_the_past(
         evidence_of_past_state(*motion, targets).sum().item(),
         actions[..., 0].numel(),
         time_step,
+        remembered,
     )
 
 
@@ -122,7 +125,7 @@ def evidence_of_past_action(
         states: x_0..x_T of rollouts, (N, T + 1, D).
         actions: u_0..u_{T-1}, (N, T, F), not all alike.
         space: of the states.
-        periods: k, how many control periods ago the action was, from 1 to T - 2.
+        periods: k, how many control periods ago the action was, from 1 to T - 1.
         targets: what the model learns, as in :class:`GPDynamics`.
 
     Returns:

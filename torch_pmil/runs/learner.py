@@ -31,7 +31,7 @@ class Learner:
     """
 
     def __init__(self, task: Task) -> None:
-        self.task = task
+        self.task = self._given = task
         self._learned: tuple[RunResult, Path] | None = None
 
     def learn(
@@ -54,7 +54,8 @@ class Learner:
 
         Raises:
             RunStopped, RobotError: the operator ended the run, or the robot cannot be reached;
-                ``learn(resume=True)`` continues.
+                ``learn(resume=True)`` continues. A run that begins with another one's experience
+                continues so from its first rollout on; before, make the same call again.
             OSError: the folder cannot be written to.
             TypeError, ValueError: an argument is of another kind or out of range, or the folder
                 holds another run.
@@ -71,14 +72,14 @@ class Learner:
         if not (out is None or isinstance(out, str | os.PathLike)) or out == "":
             raise TypeError(f"out must be the path of a folder, or None, got {short(out)}")
         out = Path("runs", self.task.name, f"seed_{seed}") if out is None else Path(out)
-        warn_of("", check(self.task))
+        warn_of("", check(self._given))
         result = train(
-            self.task,
+            self._given,
             seed,
             trials,
             out,
             _command(),
-            on_trial=partial(print_trial, "", self.task),
+            on_trial=partial(print_trial, "", self._given),
             resume=resume,
             logger="csv",
             overwrite=overwrite,
@@ -101,9 +102,8 @@ class Learner:
     def save(self, path: Path | str) -> None:
         """Write the policy into a file that :func:`load_policy` reads."""
         learned = self.policy
-        save_policy(
-            path, learned.policy, learned.space, learned.control_period, actions=learned.actions
-        )
+        meaning = learned.space, learned.control_period, learned.target_names, learned.actions
+        save_policy(path, learned.policy, *meaning)
 
     def export(self, path: Path | str, batch: bool = False) -> None:
         """Write the policy as a program of PyTorch or ONNX, see :meth:`StatePolicy.export`."""

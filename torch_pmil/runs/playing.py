@@ -111,7 +111,7 @@ def load_player(folder: Path) -> Player:
         RunError: the run is not finished, or its robot is not known by name.
         PolicyFileError: the policy is damaged, or of another robot.
         OSError: a file cannot be read.
-        ValueError: its settings are damaged, or its demonstrations have changed.
+        ValueError: its settings are damaged, or its demonstrations no longer fit the task.
         ImportError: the task needs another library.
 
     Example:
@@ -148,7 +148,8 @@ def _task_of(folder: Path) -> Task:
     file = folder / "settings.yaml"
     given: dict[str, Any] = read_settings(file) if file.is_file() else {}
     source = given.get("demonstrations")
-    return load_experiment(name, None if source is None else demonstrations_from(source))
+    task = load_experiment(name, None if source is None else demonstrations_from(source))
+    return task.with_settings(tolerance=given["tolerance"]) if "tolerance" in given else task
 
 
 def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:

@@ -260,6 +260,9 @@ def _identity(task: Task, seed: int) -> dict[str, object]:
         "experiment": task.name,
         "seed": seed,
         "demonstrations": hashlib.sha256(content).hexdigest(),
+        "control_period": task.time_step,
+        "state": list(task.space.names),
+        "actions": [task.actions.low.tolist(), task.actions.high.tolist()],
     }
     return json.loads(json.dumps({**identity, **task.settings, ROBOT: motion_of(task)}))
 

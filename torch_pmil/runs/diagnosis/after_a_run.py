@@ -67,7 +67,7 @@ def likely_reasons(
     Returns:
         An empty list for a run that learned, at least one reason for any other.
     """
-    failures = [outcome.errors > task.tolerance for outcome in outcomes]
+    failures = [~(outcome.errors <= task.tolerance) for outcome in outcomes]
     failed = torch.cat(failures)
     if (~failed).double().mean() >= LEARNED:
         return []
@@ -127,7 +127,8 @@ def known_steps(task: Task, dynamics: ForwardModel, outcome: Outcome) -> Tensor:
     before = outcome.executed[:, :-1]
     inputs = torch.cat([task.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = dynamics.predict(inputs)
-    sure = (variance <= LITTLE**2 * dynamics.prior_variance).all(-1)
+    prior = dynamics.prior_variance
+    sure = ((variance <= LITTLE**2 * prior) | (prior == 0)).all(-1)
     plain = list(task.space.plain)  # the first features
     reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
     return sure & (before[..., plain].abs() <= reached).all(-1)

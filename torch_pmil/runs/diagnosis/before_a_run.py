@@ -134,7 +134,7 @@ def _stretches(task: Task) -> list[tuple[int, int, int]]:
         for first in range(0, T, STRETCH)
     ]
     change = positions.diff(n=2, dim=1).abs().amax(-1)  # (N, T - 1)
-    change = torch.nn.functional.pad(change, (0, -(T - 1) % STRETCH)).unflatten(1, (-1, STRETCH))
+    change = torch.nn.functional.pad(change, (0, 1 + -T % STRETCH)).unflatten(1, (-1, STRETCH))
     fastest = change.amax(-1).flatten().argsort(descending=True, stable=True)
     count = TORQUE_STEPS // STRETCH // 2
     spaced = torch.linspace(0, len(stretches) - 1, count).long()

@@ -90,6 +90,8 @@ def larger_motion(settings: Mapping[str, Any]) -> str:
     """
     if "exploration.reach" in settings:
         return scaled(settings, "exploration.reach", 1.5)
+    if settings["random_action"] >= 1:
+        return "random_action is at its largest: a wider range of the actions"
     return scaled(settings, "random_action", min(2, 1 / settings["random_action"]))
 
 

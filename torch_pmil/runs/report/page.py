@@ -106,12 +106,18 @@ def _page(folder: Path, summary: dict, drawn: bool) -> str:
         summary=summary,
         headline=headline(summary),
         judged_alone=judged_alone(summary),
-        following=None if drawn else making_the_rest(folder),
+        following=None if drawn else _remedy(summary, folder),
         pictures=_pictures(folder, summary) if drawn else [],
         video=_encoded(_content(video)) if drawn and video.exists() else None,
         tables=list(tables(summary)),
         steps=list(next_steps(summary, folder)),
     )
+
+
+def _remedy(summary: dict, folder: Path) -> str:
+    """What makes the missing files of a run."""
+    of_command = str(summary.get("command", "")).startswith("pmil train")
+    return making_the_rest(folder) if of_command else "learn(resume=True)"
 
 
 def _pictures(folder: Path, summary: dict) -> list[Picture]:

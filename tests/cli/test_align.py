@@ -45,7 +45,7 @@ def test_what_loading_refuses_is_aligned_as_its_message_says(
     script(recorded, out, "--velocities", "dq", "--crop")
     demonstrations = load_demonstrations(out, time_step=0.1)
     samples = demonstrations.positions.shape[1]
-    said = f"wrote {out}: 3 demonstrations of {samples} samples, 1 s\n"
+    said = f"wrote {out}: 3 demonstrations of {samples} samples, 0.9 s\n"
     assert capsys.readouterr().out == said
     q, dq = demonstrations.positions.unbind(-1)
     assert q.std(0).max() < 0.02

@@ -120,6 +120,17 @@ def test_rule_stays_the_trapezoidal_one_where_it_is_exact_or_nothing_moves(draws
     assert_close(CART.fitted_rule(still, still), half)
 
 
+def test_a_joint_that_turned_back_between_two_readings_does_not_spoil_the_rule(
+    draws: Draws,
+) -> None:
+    """Least squares would give it away: the numbers change by a tenth and more."""
+    x, _, after = servo(draws, 0.04)
+    rule = CART.fitted_rule(x, after)
+    row, _ = CART.followed[0]
+    after[3, row] += 2.0 * (after[3, row] - x[3, row]).abs() + 0.1
+    assert_close(CART.fitted_rule(x, after), rule, rtol=0, atol=1e-4)
+
+
 def test_rule_is_taken_as_it_is_given() -> None:
     rule = torch.tensor([[0.01, 0.03], [0.015, 0.02]], dtype=torch.float64)
     assert_close(CART.with_rule(rule).rule, rule)

@@ -14,6 +14,7 @@ from torch_pmil.checks import check_positive, check_tensor, check_whole
 
 # weight of the trapezoidal rule over that of the data: it counts where nothing moves
 RULE_RIDGE = 1e-6
+RULE_STEPS = 20  # of reweighted least squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,19 +152,22 @@ class KnownPart:
         return replace(self, matrix=matrix, gain=gain)
 
     def fitted_rule(self, states: Tensor, successors: Tensor) -> Tensor:
-        r"""The rule (P, 2) by least squares from transitions (n, D), near the present one.
+        r"""The rule (P, 2) from transitions (n, D), near the present one.
 
         It is exact for a linear servo with held targets: :math:`q'` and :math:`\dot q'` are linear
-        in q, :math:`\dot q` and the target, which can be eliminated.
+        in q, :math:`\dot q` and the target, which can be eliminated. Least squares are reweighted
+        as for errors with Cauchy's distribution: a joint that turns back between two readings, or
+        meets a stop, must not spoil the rule of all other transitions.
         """
         numbers = []
         for (row, rate), before in zip(self.followed, self.rule, strict=True):
             speeds = torch.stack([states[:, rate], successors[:, rate]], -1)
             left = successors[:, row] - states[:, row] - speeds @ before
-            normal = speeds.mT @ speeds
-            ridge = (RULE_RIDGE * normal.diagonal().mean()).clamp(min=torch.finfo(left.dtype).tiny)
-            normal = normal + ridge * torch.eye(2, dtype=left.dtype)
-            numbers.append(before + torch.linalg.solve(normal, speeds.mT @ left))
+            change = torch.zeros_like(before)
+            for _ in range(RULE_STEPS):
+                rest = left - speeds @ change
+                change = _weighted(speeds, left, _cauchy_weights(rest))
+            numbers.append(before + change)
         return torch.stack(numbers)
 
     def for_actions(self, num_actions: int) -> KnownPart:
@@ -213,3 +217,17 @@ class KnownPart:
 @lru_cache(64)  # each prediction of a search asks for it
 def _for_actions(known: KnownPart, num_actions: int) -> KnownPart:
     return replace(known, matrix=pad(known.matrix, (0, num_actions)))
+
+
+def _cauchy_weights(rest: Tensor) -> Tensor:
+    """Weights (n,) of errors, by which those far above the median one count little."""
+    scale = rest.abs().median().clamp(min=torch.finfo(rest.dtype).tiny)
+    return 1 / (1 + (rest / scale).square())
+
+
+def _weighted(speeds: Tensor, left: Tensor, weights: Tensor) -> Tensor:
+    """The two numbers by which speeds (n, 2) explain what is left (n,), by least squares."""
+    weighted = weights[:, None] * speeds
+    normal = speeds.mT @ weighted
+    ridge = (RULE_RIDGE * normal.diagonal().mean()).clamp(min=torch.finfo(left.dtype).tiny)
+    return torch.linalg.solve(normal + ridge * torch.eye(2, dtype=left.dtype), weighted.mT @ left)

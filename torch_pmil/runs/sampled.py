@@ -85,7 +85,7 @@ def in_words(task: Task, choice: Choice) -> str:
         'steps of 0.2 s: the simplest that predicts the first motion well'
         >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
         >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
-        "steps of 0.1 s: the shortest step, since no model predicts the first motion well"
+        'steps of 0.1 s: the shortest step, since no model predicts the first motion well'
     """
     chosen = choice.sampling.described(task.time_step)
     if not choice.lost:

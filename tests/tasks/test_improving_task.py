@@ -99,7 +99,7 @@ def test_what_does_not_fit_is_refused_in_a_line(
 def test_cost_itself_is_asked_for() -> None:
     shown = load_experiment("double_pendulum")
     with pytest.raises(
-        TypeError, match=r"^cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got int"
+        TypeError, match=r"^cost must be a SaturatingCost, .* FunctionCost, got int"
     ):
         ImprovingTask(**(vars(shown) | {"cost": 1}))
     assert torch.equal(improving(shown, UP).demonstrated.mean, shown.demonstrated.mean)

@@ -168,7 +168,14 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         }
         drawn = {method.label: curves[method.label] for method in methods if method.factor == 1}
         figures |= _figures(task, drawn)
-        details[task] = {"curves": success_numbers(curves), "ahead": _ahead(methods, curves)}
+        ours, *others = methods
+        details[task] = {
+            "curves": success_numbers(curves),
+            "ahead": {
+                other.label: ahead(curves[ours.label], curves[other.label], TIMES, other.factor)
+                for other in others
+            },
+        }
     return Results(headline, figures, details)
 
 
@@ -197,23 +204,19 @@ def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:
     return found
 
 
-def _ahead(
-    methods: Sequence[Method], curves: Mapping[str, SuccessCurve]
-) -> dict[str, dict[str, object]]:
-    """Success of ours less that of each other on the same seeds, with the bootstrap's intervals."""
+def ahead(
+    ours: SuccessCurve, other: SuccessCurve, times: Sequence[float], factor: int = 1
+) -> dict[str, object]:
+    """Success of ours less the other's on the same seeds, with the bootstrap's intervals.
 
-    def rates(method: Method, time: float) -> list[float]:
-        curve = curves[method.label]
-        return curve.rates[:, curve.column(method.factor * time)].tolist()
+    The other, of which there may be more seeds, had so many times our experience.
+    """
 
-    ours, *others = methods
-    return {
-        other.label: {
-            f"{time:g}s": paired(list(zip(rates(ours, time), rates(other, time), strict=True)))
-            for time in TIMES
-        }
-        for other in others
-    }
+    def pairs(time: float) -> list[tuple[float, float]]:
+        theirs = other.rates[: len(ours.rates), other.column(factor * time)]
+        return list(zip(ours.rates[:, ours.column(time)].tolist(), theirs.tolist(), strict=True))
+
+    return {f"{time:g}s": paired(pairs(time)) for time in times}
 
 
 PEERS_STUDY = PaperExperiment(

@@ -20,14 +20,15 @@ from reproduction.peers import (
     QUICK_SEEDS,
     TASKS,
     Method,
+    ahead,
 )
 from reproduction.reproduction import PaperExperiment, Results, Run
-from reproduction.soak.comparison import paired
 from torch_pmil.files import read_json
 from torch_pmil.runs.summaries import SuccessCurve, read_summary, success_over_experience
 
 RECORDED = Path("results/paper", PEERS_STUDY.name, "summary.json")
-ANEW = {name: methods for name, methods in TASKS.items() if name != "pendubot"}  # it takes hours
+# a run of the pendubot takes several minutes
+ANEW = {name: methods for name, methods in TASKS.items() if name != "pendubot"}
 TIMES = (10.0, 12.5, 25.0)  # s of experience
 END = 50.0
 
@@ -50,8 +51,10 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         peers = recorded_curves(recorded[task]["curves"], methods)
         headline |= _numbers(task, ours, peers)
         figures[task] = success_figure({OURS: ours, **dict(list(peers.items())[:OTHERS])})
-        ahead = {label: _ahead(ours, peer) for label, peer in peers.items()}
-        details[task] = {"curves": success_numbers({OURS: ours}), "ahead": ahead}
+        details[task] = {
+            "curves": success_numbers({OURS: ours}),
+            "ahead": {label: ahead(ours, peer, TIMES) for label, peer in peers.items()},
+        }
     return Results(headline, figures, details)
 
 
@@ -75,18 +78,6 @@ def _numbers(
         f"experience_to_95_{task}_ours": ours.experience_to(GOAL),
         f"experience_to_95_{task}_quickest_peer": quickest,
         **{f"success_{time:g}s_{task}_ours": ours.at(time) for time in TIMES},
-    }
-
-
-def _ahead(ours: SuccessCurve, peer: SuccessCurve) -> dict[str, object]:
-    """Success of ours less the peer's on the same seeds, with the bootstrap's intervals."""
-
-    def rates(curve: SuccessCurve, time: float) -> list[float]:
-        return curve.rates[: len(ours.rates), curve.column(time)].tolist()
-
-    return {
-        f"{time:g}s": paired(list(zip(rates(ours, time), rates(peer, time), strict=True)))
-        for time in TIMES
     }
 
 

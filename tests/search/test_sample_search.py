@@ -203,8 +203,16 @@ def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None
         (0.5, (1.0, 0.9, 0.8), [1, 3]),
         (0.5, (1.0, 0.9, 0.95), [1, 2]),
         (0.5, (-10.0, -9.0, -8.0), [1, 2]),
+        (0.5, (math.inf, 1.0), [2]),
     ],
-    ids=["promise kept", "progress", "a random policy leads further", "it does not", "negative"],
+    ids=[
+        "promise kept",
+        "progress",
+        "a random policy leads further",
+        "it does not",
+        "negative",
+        "not finite",
+    ],
 )
 def test_trial_on_samples_alone_begins_anew_without_progress(
     monkeypatch: pytest.MonkeyPatch, promised: float, costs: tuple[float, ...], kept: list[int]

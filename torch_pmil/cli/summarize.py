@@ -69,7 +69,10 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     if len(names) > 1:
         raise RunError(f"runs must be of one experiment, got {', '.join(names)}")
     curve = summaries.success_over_experience(runs)
-    out = out or Path(os.path.commonpath([path.parent.absolute() for path in paths]))
+    parents = [path.parent for path in paths]
+    if any(parent.is_absolute() for parent in parents):
+        parents = [parent.absolute() for parent in parents]
+    out = out or Path(os.path.commonpath(parents))
     if out.resolve() in [path.resolve() for path in paths]:
         raise RunError(f"{out} is a run: the results would replace its summary.json")
     _check_ours(out)

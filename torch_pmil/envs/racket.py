@@ -13,7 +13,6 @@ from torch import Tensor
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
 
 PLACES = 10  # of the racket, between two states
-CONTROL_PERIOD = 0.1  # s, between two states
 
 
 def distance_along(states: Tensor) -> Tensor:
@@ -30,8 +29,8 @@ def distance_along(states: Tensor) -> Tensor:
         >>> distance_along(torch.tensor(START).expand(4, 19, 6)).shape
         torch.Size([4])
     """
-    paths = _joint_paths(states.detach().double().numpy())
-    model, joints, qpos = _robot_at_start()
+    model, joints, qpos, period = _robot_at_start()
+    paths = _joint_paths(states.detach().double().numpy(), period)
     data, sensor = mujoco.MjData(model), model.sensor("racket_ball_distance").adr[0]
     data.qpos[:] = qpos
     distances = np.empty(paths.shape[:-1])
@@ -44,19 +43,20 @@ def distance_along(states: Tensor) -> Tensor:
     return torch.as_tensor(distances.min(-1).clip(min=0))
 
 
-def _joint_paths(states: np.ndarray) -> np.ndarray:
+def _joint_paths(states: np.ndarray, period: float) -> np.ndarray:
     """Positions of the joints, (*batch, PLACES T + 1, 3), along states (*batch, T + 1, 6)."""
     positions, velocities = np.split(states, 2, axis=-1)
-    times = CONTROL_PERIOD * np.arange(states.shape[-2])
+    times = period * np.arange(states.shape[-2])
     fine = np.linspace(0, times[-1], PLACES * (len(times) - 1) + 1)
     return scipy.interpolate.CubicHermiteSpline(times, positions, velocities, axis=-2)(fine)
 
 
 @cache
-def _robot_at_start() -> tuple[mujoco.MjModel, list[int], np.ndarray]:
-    """The robot's model, the addresses of its joints, and the positions of all at the start."""
+def _robot_at_start() -> tuple[mujoco.MjModel, list[int], np.ndarray, float]:
+    """The robot's model, addresses of its joints, positions of all at the start, control period."""
     env = BioRobEnv(initial_std=torch.zeros(2 * len(JOINTS)), seed=0)
     env.reset()
     model = env.model
     joints = [int(model.joint(name).qposadr[0]) for name in JOINTS]
-    return model, joints, env.get_buffer("_physics")[0, 1 : 1 + model.nq].numpy().copy()
+    positions = env.get_buffer("_physics")[0, 1 : 1 + model.nq].numpy().copy()
+    return model, joints, positions, env.control_period

@@ -53,12 +53,12 @@ def print_trial(label: str, task: Task, trial: Trial) -> None:
     objective = task.objective
     loss = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
     known = ", ".join(success_rates(trial, task.promised))
-    transitions = round(trial.experience_s / task.time_step)
+    number = round(trial.experience_s / task.time_step)
     # a task that is still to be sampled does not know how long its steps will be
-    known_transitions = "" if task.samplings else f" ({transitions} transitions)"
+    transitions = "" if task.samplings else f" ({number} transitions)"
     say(
         label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience{known_transitions}, "
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience{transitions}, "
         f"{loss}, own rollout {own_end(trial)}{known and ', success '}{known}",
     )
 

@@ -162,3 +162,12 @@ class FunctionCost:
 
 
 Cost = TargetCost | FunctionCost
+
+
+def check_cost(cost: object) -> None:
+    """Raise TypeError unless it is a cost in a user's words."""
+    if not isinstance(cost, Cost):
+        raise TypeError(
+            "cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got "
+            f"{type(cost).__name__}"
+        )

@@ -57,10 +57,10 @@ class TrialSearch:
     samples (:func:`search_on_samples`): from the last policy, or from a random one while that is
     predicted to fail from nearly all starts. Such a policy may be at its limits all the time, where
     gradients vanish. The loss is searched from there only if success is then predicted from half
-    the starts: until then the trajectories part, and their moments say little.
-    The second policy is kept if it keeps the promise, else the one of less expected cost. Where
-    policy, model or cost has no moments in closed form, the search on samples is the whole search,
-    and goes on from a random policy if it led to nothing better than before.
+    the starts: until then the trajectories part, and their moments say little. The second policy
+    is kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
+    has no moments in closed form, the search on samples is the whole search, and goes on from a
+    random policy if it led to nothing better than before.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -156,8 +156,7 @@ class TrialSearch:
         self.result = first = self._on_samples(loss, initial, steps)
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
         expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
-        least, self._least = self._least, min(self._least, expected)
-        progress = least == math.inf or least - expected > (1 - PROGRESS) * abs(least)
+        progress, self._least = self._progresses(expected), min(self._least, expected)
         if progress or self._keeps_promise(loss, initial):
             return first
         loss.actor_network.load_state_dict(self.make_policy().state_dict())
@@ -198,8 +197,12 @@ class TrialSearch:
 
     def _enough(self, succeeded: bool | None) -> bool:
         """Whether the best policy so far makes other starts needless."""
-        progress = self.result.loss < PROGRESS * self._least
-        return progress or (self.result.complete and succeeded is not False)
+        matched = self.result.complete and succeeded is not False
+        return matched or self._progresses(self.result.loss)
+
+    def _progresses(self, loss: float) -> bool:
+        """Whether a loss, which may be negative, is well below the smallest so far."""
+        return loss < self._least * (PROGRESS if self._least > 0 else 2 - PROGRESS)
 
     def _keep_better(
         self, loss: TrajectoryLoss, start: AnyPolicy, search: Callable[[], SearchResult]

@@ -14,7 +14,7 @@ from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.search.target_costs import Cost
+from torch_pmil.search.target_costs import Cost, check_cost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.tasks.method import SURE, Method
 from torch_pmil.tasks.task import Task
@@ -64,11 +64,7 @@ class CostTask(Task):
     centre_std: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.cost, Cost):
-            got = type(self.cost).__name__
-            raise TypeError(
-                f"cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got {got}"
-            )
+        check_cost(self.cost)
         check_whole("steps", self.steps, 1)
         check_positive("control_period", self.control_period)
         super().__post_init__()

@@ -9,7 +9,7 @@ from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.model.forward_model import ForwardModel
 from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.sampled_cost import CostFunction
-from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
+from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost, check_cost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.settings import setting
 from torch_pmil.tasks.task import Task
@@ -38,11 +38,7 @@ class ImprovingTask(Task):
     )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.cost, Cost):
-            got = type(self.cost).__name__
-            raise TypeError(
-                f"cost must be a SaturatingCost, a QuadraticCost or a FunctionCost, got {got}"
-            )
+        check_cost(self.cost)
         if isinstance(self.cost, TargetCost):
             self.cost.at_end(self.space)  # raises ValueError if its target is of another space
         super().__post_init__()

@@ -38,9 +38,9 @@ def with_history(
 
     Args:
         past_entries: number of past values of each entry; with ``positions_only``, of each but the
-            positions from which a velocity is estimated.
-            What is hidden, such as a spring, shows in them, and the noise of sensors averages out.
-            Past angles are plain numbers, in which a full turn is a difference.
+            positions from which a velocity is estimated. What is hidden, such as a spring, shows in
+            them, and the noise of sensors averages out. Past angles are plain numbers, in which a
+            full turn is a difference.
         past_actions: number of past actions: those that still act if there is a delay.
         positions_only: whether the sensors show no velocities. They are then estimated from the
             last two positions, which need ``past_actions=1`` to be as informative.

@@ -82,7 +82,7 @@ def forgiving(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def larger_motion(settings: Mapping[str, Any]) -> str:
-    """A setting for a larger first motion, as NAME=VALUE.
+    """A setting for a larger first motion, as NAME=VALUE, or what else makes it larger.
 
     Example:
         >>> larger_motion({"random_action": 0.8})

@@ -293,24 +293,22 @@ def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
     summary_of: Callable[..., dict],
 ) -> None:
     summary = summary_of(weak_swing_up(0.7, 9).with_settings(search=SearchSettings(40, 20, 20)), 2)
-    found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
-    assert list(found)[:2] == ["demonstrations out of reach", "action at its limit"]
-    share, need = re.match(
-        r"action tau1 \(N·m\) is near the end of its range from -0\.7 to 0\.7 in (\d+) % of the "
-        r"steps, and the demonstrations need up to (\d\.\d) N·m;",
-        found["action at its limit"],
-    ).groups()
-    assert float(share) == pytest.approx(100 * summary["saturated"]["tau1"], abs=0.5)
-    assert int(share) > 50 and float(need) > 2
+    first = summary["diagnosis"][0]
+    assert first["cause"] == "demonstrations out of reach"
+    need = re.match(
+        r"demonstration 0 needs (\d\.\d) N·m of motor tau1 at 0\.\d0 s, which has 0\.7 N·m;",
+        first["message"],
+    )[1]
+    assert float(need) > 2
 
 
 @pytest.mark.slow
 def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]) -> None:
-    summary = summary_of(swing_up().with_settings(search=SearchSettings(1, 1, 1)), 2)
-    found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
-    step = int(re.search(r"\(step (\d+) of 25\)", found["search stuck"])[1])
-    losses = summary["loss_per_step"]
-    assert losses[step - 1] > 3 >= max(losses[: step - 1], default=0)
+    """Its first search goes a few steps, each later one trusts all, and none comes further."""
+    summary = summary_of(swing_up().with_settings(search=SearchSettings(1, 1, 1)), 5)
+    ((cause, message),) = ((each["cause"], each["message"]) for each in summary["diagnosis"])
+    assert cause == "search stuck"
+    assert "25, 25, 25, 25: 3 trials led them no further, so try another seed" in message
 
 
 @pytest.mark.slow

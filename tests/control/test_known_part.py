@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 from torch.testing import assert_close
 
 from tests.helpers.draws import Draws
@@ -120,15 +121,38 @@ def test_rule_stays_the_trapezoidal_one_where_it_is_exact_or_nothing_moves(draws
     assert_close(CART.fitted_rule(still, still), half)
 
 
-def test_a_joint_that_turned_back_between_two_readings_does_not_spoil_the_rule(
-    draws: Draws,
-) -> None:
-    """Least squares would give it away: the numbers change by a tenth and more."""
-    x, _, after = servo(draws, 0.04)
-    rule = CART.fitted_rule(x, after)
-    row, _ = CART.followed[0]
-    after[3, row] += 2.0 * (after[3, row] - x[3, row]).abs() + 0.1
-    assert_close(CART.fitted_rule(x, after), rule, rtol=0, atol=1e-4)
+@pytest.mark.parametrize("still", [0, 180], ids=["it moves", "it mostly rests"])
+@pytest.mark.parametrize("turned", [0, 1], ids=["smooth", "turned back"])
+def test_rule_is_found_in_readings_with_errors(draws: Draws, still: int, turned: int) -> None:
+    """Whether a joint rests for most readings, or is read at 20 m/s twice in the same place."""
+    x, after, error = readings(draws)
+    rest = 1e-9 * draws.normal(still, 4)
+    back = torch.tensor([[0.0, 0.0, 20.0, 0.0]], dtype=torch.float64)[:turned]
+    found = CART.fitted_rule(torch.cat([x, rest, back]), torch.cat([after, rest, back]))
+    assert ((found - RULE).abs() < 4 * error).all()
+
+
+def test_one_hasty_motion_does_not_outweigh_all_others(draws: Draws) -> None:
+    """It stops from 20 m/s, and goes a little further than the trapezoidal rule says."""
+    x, after, _ = readings(draws)
+    fast, stopped = torch.zeros(2, 1, 4, dtype=torch.float64)
+    fast[0, 2], stopped[0, 0] = 20.0, 20 * 0.0217
+    x, after = torch.cat([x, fast]), torch.cat([after, stopped])
+    speeds, moved = torch.stack([x[:, 2], after[:, 2]], -1), (after - x)[:, 0]
+    plain = torch.linalg.lstsq(speeds, moved).solution
+    assert (CART.fitted_rule(x, after)[0] - RULE[0]).norm() < (plain - RULE[0]).norm() / 4
+
+
+RULE = torch.tensor([[0.0203, 0.0202], [0.0199, 0.0202]], dtype=torch.float64)
+
+
+def readings(draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
+    """Transitions by :data:`RULE` with normal errors, and the standard errors of its numbers."""
+    x, outputs = draws.normal(60, 4), draws.normal(60, 2)
+    after = CART.with_rule(RULE).successors(x, torch.zeros(60, 2), outputs)
+    after[:, :2] += 1e-4 * draws.normal(60, 2)
+    speeds = torch.stack([x[:, 2:], after[:, 2:]], -1).transpose(0, 1)
+    return x, after, 1e-4 * torch.linalg.inv(speeds.mT @ speeds).diagonal(dim1=-2, dim2=-1).sqrt()
 
 
 def test_rule_is_taken_as_it_is_given() -> None:

@@ -14,7 +14,9 @@ from torch_pmil.checks import check_positive, check_tensor, check_whole
 
 # weight of the trapezoidal rule over that of the data: it counts where nothing moves
 RULE_RIDGE = 1e-6
-RULE_STEPS = 20  # of reweighted least squares
+# share of the way by its speeds that a joint may be off, and of the transitions that must not be
+OFF, MOST = 0.1, 1 / 3
+HASTY = 2.0  # change of speed, in the mean one, from which a transition counts less
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,19 +157,20 @@ class KnownPart:
         r"""The rule (P, 2) from transitions (n, D), near the present one.
 
         It is exact for a linear servo with held targets: :math:`q'` and :math:`\dot q'` are linear
-        in q, :math:`\dot q` and the target, which can be eliminated. Least squares are reweighted
-        as for errors with Cauchy's distribution: a joint that turns back between two readings, or
-        meets a stop, must not spoil the rule of all other transitions.
+        in q, :math:`\dot q` and the target, which can be eliminated. Where the present rule, mostly
+        the trapezoidal one, holds at all, transitions that are far off are left out: a joint turned
+        back between the readings, or met a stop. The others count less the more the speed changed.
+        The rule of a robot that once tumbled is thus that of its calmer motions.
         """
         numbers = []
         for (row, rate), before in zip(self.followed, self.rule, strict=True):
             speeds = torch.stack([states[:, rate], successors[:, rate]], -1)
             left = successors[:, row] - states[:, row] - speeds @ before
-            change = torch.zeros_like(before)
-            for _ in range(RULE_STEPS):
-                rest = left - speeds @ change
-                change = _weighted(speeds, left, _cauchy_weights(rest))
-            numbers.append(before + change)
+            way = speeds.abs() @ before.abs()
+            kept = left.abs() <= OFF * way.clamp(min=OFF * way.mean())
+            if kept.double().mean() >= MOST:
+                speeds, left = speeds[kept], left[kept]
+            numbers.append(before + _explained(speeds, left))
         return torch.stack(numbers)
 
     def for_actions(self, num_actions: int) -> KnownPart:
@@ -219,15 +222,12 @@ def _for_actions(known: KnownPart, num_actions: int) -> KnownPart:
     return replace(known, matrix=pad(known.matrix, (0, num_actions)))
 
 
-def _cauchy_weights(rest: Tensor) -> Tensor:
-    """Weights (n,) of errors, by which those far above the median one count little."""
-    scale = rest.abs().median().clamp(min=torch.finfo(rest.dtype).tiny)
-    return 1 / (1 + (rest / scale).square())
-
-
-def _weighted(speeds: Tensor, left: Tensor, weights: Tensor) -> Tensor:
+def _explained(speeds: Tensor, left: Tensor) -> Tensor:
     """The two numbers by which speeds (n, 2) explain what is left (n,), by least squares."""
-    weighted = weights[:, None] * speeds
+    tiny = torch.finfo(left.dtype).tiny
+    changes = speeds.diff(dim=-1).abs()
+    hasty = (HASTY * changes.mean()).clamp(min=tiny)
+    weighted = speeds / (1 + (changes / hasty).square())
     normal = speeds.mT @ weighted
-    ridge = (RULE_RIDGE * normal.diagonal().mean()).clamp(min=torch.finfo(left.dtype).tiny)
+    ridge = (RULE_RIDGE * normal.diagonal().mean()).clamp(min=tiny)
     return torch.linalg.solve(normal + ridge * torch.eye(2, dtype=left.dtype), weighted.mT @ left)

@@ -64,7 +64,8 @@ class ForwardModel(nn.Module):
             raise ValueError(
                 f"num_outputs must be the {known.num_outputs} of the known part, got {num_outputs}"
             )
-        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, known
+        self.num_inputs, self.num_outputs = num_inputs, num_outputs
+        self.targets = self._first_targets = known
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
         if known.followed:
@@ -122,7 +123,7 @@ class ForwardModel(nn.Module):
     def fit_known_part(self, states: Tensor, successors: Tensor) -> None:
         """Learn from transitions (n, D) how positions follow from velocities, if any do."""
         if self.targets.followed:
-            self._take_rule(self.targets.fitted_rule(states, successors))
+            self._take_rule(self._first_targets.fitted_rule(states, successors))
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
         """Take finite data (n, D' + F) and (n, E)."""

@@ -333,6 +333,18 @@ def test_rule_of_the_positions_is_learned_and_comes_back_from_a_file(draws: Draw
     assert_close(known.rule, torch.full((1, 2), 0.05).double())
 
 
+def test_rule_of_the_positions_does_not_depend_on_those_before_it(draws: Draws) -> None:
+    """A third of the joints turned back; by the first rule, all the others are far off."""
+    known = KnownPart.of_velocities(("q", "dq"), {"q": "dq"}, num_actions=1, time_step=0.1)
+    x, dq, dynamics = draws.normal(30, 2), draws.normal(30), GPDynamics(3, 1, known)
+    way, half = x[:, 1] + dq, torch.full((1, 2), 0.05).double()
+    dynamics.fit_known_part(x, torch.stack([x[:, 0] + 0.03 * way, dq], -1))
+    assert_close(dynamics.targets.rule, 0.6 * half, rtol=1e-4, atol=0)
+    way[20:] = 0.0
+    dynamics.fit_known_part(x, torch.stack([x[:, 0] + 0.05 * way, dq], -1))
+    assert_close(dynamics.targets.rule, half, rtol=1e-4, atol=0)
+
+
 def test_model_of_all_entries_has_no_rule(fitted: GPDynamics) -> None:
     fitted.fit_known_part(torch.zeros(3, 2), torch.zeros(3, 2))
     assert "position_rule" not in fitted.state_dict()

@@ -21,7 +21,7 @@ def test_command_says_where_the_kernels_are_or_that_no_folder_can_be_written(
     assert said.endswith(f" CPU s), kept in {folder}\n")
     monkeypatch.setattr(building, "_cache_folder", lambda: None)
     run_command(monkeypatch, "compile")
-    assert capsys.readouterr().out.endswith("kept in nowhere, for no folder can be written\n")
+    assert capsys.readouterr().out.endswith("but not kept: no folder can be written to\n")
 
 
 def test_command_says_why_there_is_nothing_to_compile(
@@ -30,7 +30,10 @@ def test_command_says_why_there_is_nothing_to_compile(
     monkeypatch.setenv("TORCH_PMIL_COMPILED", "0")
     available.cache_clear()
     try:
-        with pytest.warns(RuntimeWarning, match="TORCH_PMIL_COMPILED is 0"):
+        with (
+            pytest.warns(RuntimeWarning, match="TORCH_PMIL_COMPILED is 0"),
+            pytest.raises(SystemExit, match="error: the prediction cannot be compiled"),
+        ):
             run_command(monkeypatch, "compile")
     finally:
         available.cache_clear()

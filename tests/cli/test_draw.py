@@ -111,21 +111,36 @@ def test_bodies_too_large_or_of_no_length_are_refused(server: object) -> None:
         assert ask(server, "POST", "save", b"", Content_Length=length)[0] == 411
 
 
+NAMED = "demonstrations='my wave.npz'"
+
+
+@pytest.mark.parametrize(
+    ("time_step", "samples", "last"),
+    [
+        (0.1, 6, f"train with: pmil train experiment=handwriting {shlex.quote(NAMED)}"),
+        (0.05, 11, "they are for PMIL(..., control_period=0.05): handwriting takes 0.1 s"),
+    ],
+)
 def test_command_prints_where_to_draw_and_how_to_train(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    time_step: float,
+    samples: int,
+    last: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ThreadingHTTPServer, "serve_forever", lambda server: server.save(BODY))
-    run_command(monkeypatch, "draw", "my wave.npz", "--time-step", "0.05")
+    run_command(monkeypatch, "draw", "my wave.npz", "--time-step", str(time_step))
     first, *saved = capsys.readouterr().out.splitlines()
     address = r"http://127\.0\.0\.1:\d+/[\w-]{43}/"
     assert re.fullmatch(rf"draw at {address} \(Ctrl-C ends without saving\)", first)
     assert saved == [
-        "wrote my wave.npz: 5 demonstrations of 11 samples, 0.5 s",
+        f"wrote my wave.npz: 5 demonstrations of {samples} samples, 0.5 s",
         "as they were recorded: my wave.csv",
-        "train with: pmil train experiment=handwriting 'demonstrations=my wave.npz'",
+        last,
     ]
-    assert load_demonstrations("my wave.npz").time_step == 0.05
+    assert load_demonstrations("my wave.npz").time_step == time_step
 
 
 def test_interrupt_ends_in_one_line_and_writes_nothing(
@@ -159,7 +174,7 @@ def draw_arc(page: object, variation: int, duration: float, end: float = 1.0) ->
     start = time.monotonic()
     while (moment := (time.monotonic() - start) / duration) < 1:
         drawn.append([moment * duration, *go(end * moment**2 * (3 - 2 * moment))])
-    drawn.append([duration, *go(end)])
+    drawn.append([time.monotonic() - start, *go(end)])
     page.mouse.up()
     return drawn
 

@@ -112,14 +112,19 @@ def test_damaged_origin_is_one_line(
         run_command(monkeypatch, "resume", tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("command", "remedy"),
+    [("pmil train seed=1", "pmil resume '{}'"), ("python own.py", "learn(resume=True)")],
+)
 def test_report_says_what_it_has_to_do_without(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Printed
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Printed, command: str, remedy: str
 ) -> None:
-    run_command(monkeypatch, "report", run_of(tmp_path / "run", OLD))
-    page = tmp_path / "run" / "report.html"
+    folder = run_of(tmp_path / "a run", OLD | {"command": command})
+    run_command(monkeypatch, "report", folder)
+    page, remedy = folder / "report.html", remedy.format(folder)
     assert capsys.readouterr().out == (
         f"wrote {page}, without figures (there are none) and video (there is no video.mp4): "
-        f"pmil resume {page.parent} makes them\n"
+        f"{remedy} makes what the robot allows\n"
     )
     whole = run_of(tmp_path / "whole", OLD, "poses")
     (whole / "video.mp4").touch()

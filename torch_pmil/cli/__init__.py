@@ -97,6 +97,12 @@ def check_new(path: Path) -> None:
         sys.exit(f"error: {path} is there already: choose another name")
 
 
+def check_picture(path: Path) -> None:
+    """End the command if a picture would be written to a file of another kind."""
+    if path.suffix.lower() != ".png":
+        sys.exit(f"error: {path}: a picture is written to a .png file")
+
+
 def print_written(out: Path, demonstrations: Demonstrations) -> None:
     """Print what a file of demonstrations holds."""
     (count, samples, _), duration = demonstrations.positions.shape, demonstrations.duration

@@ -29,7 +29,14 @@ import torch
 from torch import Tensor
 
 from torch_pmil import plotting
-from torch_pmil.cli import add_reading, check_out, errors_in_one_line, parser_of, print_written
+from torch_pmil.cli import (
+    add_reading,
+    check_out,
+    check_picture,
+    errors_in_one_line,
+    parser_of,
+    print_written,
+)
 from torch_pmil.demonstrations import (
     DemonstrationError,
     Demonstrations,
@@ -193,6 +200,8 @@ def main() -> None:
             sys.exit(f"error: {path} is there already: --overwrite replaces it")
         if not path.parent.is_dir():
             sys.exit(f"error: {path}: there is no folder {path.parent}")
+    if picture:
+        check_picture(picture)
     with errors_in_one_line(AlignmentError, DemonstrationError, ImportError, OSError):
         reading = {"keys": options.keys, "names": options.names}
         step = options.recorded_time_step

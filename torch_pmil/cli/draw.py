@@ -10,6 +10,7 @@ heart.csv holds them as they were recorded.
 
 from __future__ import annotations
 
+import math
 import secrets
 import shlex
 import sys
@@ -24,6 +25,8 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation import drawing
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 from torch_pmil.files import in_words
+from torch_pmil.runs.settings import word_of
+from torch_pmil.tasks.strokes import TIME_STEP
 
 LIMITS = {  # of strokes, which the page shows
     "wanted": 5,
@@ -170,5 +173,10 @@ def main() -> None:
     assert server.saved is not None  # the server ends by itself when a drawing is saved
     print_written(out, server.saved)
     print(f"as they were recorded: {recorded}")
-    train = ("pmil", "train", "experiment=handwriting", f"demonstrations={out}")
-    print(f"train with: {shlex.join(train)}")
+    if math.isclose(time_step, TIME_STEP):
+        train = ("pmil", "train", "experiment=handwriting", word_of("demonstrations", str(out)))
+        print(f"train with: {shlex.join(train)}")
+    else:
+        print(
+            f"they are for PMIL(..., control_period={time_step:g}): handwriting takes {TIME_STEP} s"
+        )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from torch_pmil import plotting
 from torch_pmil.checks import check_positive
-from torch_pmil.cli import add_reading, check_new, errors_in_one_line, parser_of
+from torch_pmil.cli import add_reading, check_new, check_picture, errors_in_one_line, parser_of
 from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
 
@@ -21,7 +21,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     formats = "or folder: NPZ, CSV, LASA, Minari, robomimic or LeRobot"
     parser.add_argument("file", type=Path, metavar="FILE", help=formats)
-    add_reading(parser, "--time-step")
+    add_reading(parser, "--recorded-time-step")
     period = "of the robot that will move, in s (default 0.1)"
     parser.add_argument("--control-period", type=float, default=0.1, metavar="S", help=period)
     drawn = "draw each entry over time, and paths in a plane"
@@ -30,9 +30,10 @@ def main() -> None:
     file, keys, names = arguments.file, arguments.keys, arguments.names
     if arguments.draw:
         check_new(arguments.draw)
+        check_picture(arguments.draw)
     with errors_in_one_line(ValueError, ImportError, OSError):
         check_positive("--control-period", arguments.control_period)
-        read = load_recordings(file, keys=keys, names=names, time_step=arguments.time_step)
+        read = load_recordings(file, keys=keys, names=names, time_step=arguments.recorded_time_step)
         print(f"{file}\n\n{describe(read)}\n")
         found = advice(read, str(file), arguments.control_period, _options(arguments))
         steps = found or ["nothing to do: it is loaded as it is"]
@@ -47,6 +48,6 @@ def _options(arguments: argparse.Namespace) -> list[str]:
     """The options with which ``pmil align`` reads the file in the same way."""
     given = {"--keys": arguments.keys, "--names": arguments.names}
     options = [text for option, names in given.items() if names for text in (option, *names)]
-    if arguments.time_step is None:
+    if arguments.recorded_time_step is None:
         return options
-    return [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
+    return [*options, "--recorded-time-step", f"{arguments.recorded_time_step:g}"]

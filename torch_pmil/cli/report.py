@@ -9,8 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from torch_pmil.cli import errors_in_one_line, parser_of
+from torch_pmil.runs.printing import making_the_rest
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.summaries import RunError
+from torch_pmil.runs.summaries import RunError, read_summary
 
 
 def main() -> None:
@@ -20,10 +21,12 @@ def main() -> None:
     folder = parser.parse_args().folder
     with errors_in_one_line(RunError, OSError):
         page = write_report(folder)
+        command = str(read_summary(folder).get("command", ""))
     there = {
         "figures (there are none)": any((folder / "figures").glob("[!.]*.png")),
         "video (there is no video.mp4)": (folder / "video.mp4").exists(),
     }
     missing = " and ".join(words for words, found in there.items() if not found)
-    absent = f", without {missing}: pmil resume {folder} makes them" if missing else ""
+    remedy = making_the_rest(folder) if command.startswith("pmil train") else "learn(resume=True)"
+    absent = f", without {missing}: {remedy} makes what the robot allows" if missing else ""
     print(f"wrote {page}{absent}")

@@ -4,7 +4,7 @@ Example:
     pmil resume runs/double_pendulum/seed_0
     pmil resume runs/double_pendulum/seed_0 trials=24
 
-Relative paths in the settings are relative to the folder in which the run was started.
+Call it in the folder in which the run was started, if its settings have relative paths.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from torch_pmil.runs.run_folder import read_command
 from torch_pmil.runs.settings import SETTINGS, word_of
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import is_own
+
+FIXED = {"out", "resume", "overwrite", "settings"}  # what says which run it is, and what is done
 
 
 def main() -> None:
@@ -37,14 +39,17 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
     """The settings of a run with some of them changed, and with the present name of its folder.
 
     Raises:
-        RunError: the run was not started by ``pmil train``.
+        RunError: the run was not started by ``pmil train``, or a change is not one of its settings.
         OSError: the folder does not record how the run was started.
     """
     words = read_command(folder)
     if words[:2] != ["pmil", "train"]:
         raise RunError(
-            f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command"
+            f"{folder} was begun by {shlex.join(words)}, not by pmil train: go on in Python, by "
+            "learn(resume=True)"
         )
+    if fixed := FIXED & {word.partition("=")[0] for word in changed}:
+        raise RunError(f"pmil resume cannot change {', '.join(sorted(fixed))}")
     for word in words[2:]:
         # the settings of Hydra name functions that it calls, and its flags other folders; a
         # reference to another setting would hide the name of a module

@@ -55,7 +55,7 @@ lint: .venv/.installed  ## check style, formatting and types
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
 
-demonstrations: .venv/.installed  ## record the shipped demonstrations anew
+demonstrations: .venv/.installed  ## record the demonstrations of the double pendulum anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
 
 results: .venv/.installed  ## learn five tasks with the seeds 0-9, the first with 0-29, resumable

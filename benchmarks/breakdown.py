@@ -23,9 +23,8 @@ from unittest import mock
 import numpy as np
 import torch
 
-from benchmarks.command_line import source_of
+from benchmarks.command_line import cpu_seconds, source_of, write_summary
 from benchmarks.workloads import make_problem
-from torch_pmil.files import write_json
 from torch_pmil.model.compiled import objective
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.building import Address, Array2, Array3, Kernel, call
@@ -72,15 +71,13 @@ def main() -> None:
         default=ROOT / "results/benchmarks/prediction/breakdown.json",
         help="to write",
     )
-    arguments = parser.parse_args()
+    arguments, source = parser.parse_args(), source_of("breakdown")
     torch.set_num_threads(1)
     rows = [
         {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.seconds)}
         for n in arguments.sizes
     ]
-    source = source_of("breakdown")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.json, {**source, "parts": PARTS, "rows": rows})
+    write_summary(arguments.json, {**source, "parts": PARTS, "rows": rows})
     print("\n".join(table(rows)))
 
 
@@ -93,7 +90,7 @@ def measure(n: int, limit: float) -> dict[str, float]:
         evaluations, others, end = [], [], time.process_time() + limit
         while time.process_time() < end:
             evaluations.append(calls.of(evaluate))
-            others.append({part: seconds(function) for part, function in repeated.items()})
+            others.append({part: cpu_seconds(function) for part, function in repeated.items()})
     parts = min(evaluations, key=lambda times: times["whole"])
     parts |= {part: min(times[part] for times in others) for part in repeated}
     return {part: round(1e3 * parts[part], 3) for part in PARTS}
@@ -139,15 +136,8 @@ class Calls:
     def of(self, evaluate: Callable[[], object]) -> dict[str, float]:
         """Seconds of one evaluation, of its kernels, and of the rest."""
         self.seconds.clear()
-        whole = seconds(evaluate)
+        whole = cpu_seconds(evaluate)
         return {**self.seconds, "whole": whole, "Python": whole - sum(self.seconds.values())}
-
-
-def seconds(function: Callable[[], object]) -> float:
-    """CPU seconds of a call."""
-    start = time.process_time()
-    function()
-    return time.process_time() - start
 
 
 class Beliefs(NamedTuple):

@@ -7,9 +7,12 @@ import json
 import shlex
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from torch_pmil.files import write_json
 from torch_pmil.runs.run_folder import provenance
 
 
@@ -22,6 +25,19 @@ def add_json(parser: argparse.ArgumentParser, name: str) -> None:
 def source_of(name: str) -> dict[str, object]:
     """Where the numbers of ``python -m benchmarks.NAME`` come from, as a summary has it."""
     return provenance(shlex.join(["python", "-m", f"benchmarks.{name}", *sys.argv[1:]]))
+
+
+def cpu_seconds(work: Callable[[], object]) -> float:
+    """CPU seconds that a piece of work takes."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def write_summary(path: Path, summary: Mapping[str, object]) -> None:
+    """Write what was measured, into a folder that may be new."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, summary)
 
 
 def row_of_own_process(name: str, *words: str) -> dict[str, Any]:

@@ -16,14 +16,13 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from reproduction.ablation import variations
 from reproduction.handwriting import TASKS as WRITERS, written
 from reproduction.learned import load_learned
 from reproduction.masses import SECOND_LINKS, with_second_link
 from reproduction.reproduction import root_of_runs
 from reproduction.robustness import varied_experiments
-from torch_pmil.files import write_json
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.diagnosis.after_a_run import known_steps, likely_reasons
@@ -116,10 +115,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=Path, default=root_of_runs(), help="folder of the runs")
     add_json(parser, "diagnosis")
-    arguments = parser.parse_args()
+    arguments, source = parser.parse_args(), source_of("diagnosis")
     torch.set_num_threads(1)
     known, runs, left_out = known_experiments(), [], 0
     for path in sorted(arguments.runs.rglob("summary.json")):
+        if "quick" in path.relative_to(arguments.runs).parts:
+            continue
         try:
             experiment = experiment_of(read_summary(path.parent)["experiment"], known)
         except RunError:  # what a study left beside its runs
@@ -133,8 +134,8 @@ def main() -> None:
     nearest = {name: worst(name, learned) for name in (*SMALLEST, *LARGEST)}
     numbers = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned)}
     headline = {**numbers, "left_out": left_out, **nearest}
-    found = {**source_of("diagnosis"), "starts": STARTS, "headline": headline, "runs": runs}
-    write_json(arguments.json, found)
+    found = {**source, "starts": STARTS, "headline": headline, "runs": runs}
+    write_summary(arguments.json, found)
     print(headline)
 
 

@@ -13,17 +13,15 @@ Example:
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
 
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, cpu_seconds, source_of, write_summary
 from benchmarks.workloads import lengthscale_factors
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.files import write_json
 from torch_pmil.model.forward_model import Targets
 
 SEED = 0
@@ -55,13 +53,12 @@ def main() -> None:
     for dim in arguments.dimensions:
         rows.append({"dim": dim, "actions": dim // 2, **measure(dim, **size)})
         print(f"D = {dim:<3}", *(f"{name}: {rows[-1][name]:.4f} s " for name in MODELS), flush=True)
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     headline = {f"cpu_seconds_D{row['dim']}": row["velocities alone"] for row in rows}
     headline |= {f"cpu_seconds_all_entries_D{row['dim']}": row["all entries"] for row in rows}
     headline |= {f"cpu_seconds_tied_D{row['dim']}": row["velocities alone, tied"] for row in rows}
     size["centres"] = CENTRES
     summary = {"experiment": "dimensions", **source, "headline": headline, **size, "rows": rows}
-    write_json(arguments.json, summary)
+    write_summary(arguments.json, summary)
 
 
 def measure(dim: int, n: int, horizon: int, repeats: int) -> dict[str, float]:
@@ -107,13 +104,6 @@ def evaluation(
     loss = TrajectoryKLLoss(policy, dynamics, space, demonstrated, NOISE_STD)
     start, parameters = Gaussian(0 * one, START_STD**2 * torch.diag(one)), list(policy.parameters())
     return lambda: torch.autograd.grad(loss.per_step(start).sum(), parameters)
-
-
-def cpu_seconds(work: Callable[[], object]) -> float:
-    """CPU seconds that a piece of work takes."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 if __name__ == "__main__":

@@ -26,11 +26,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.command_line import add_json, row_of_own_process, source_of
+from benchmarks.command_line import add_json, row_of_own_process, source_of, write_summary
 from benchmarks.stranger_robots import Derivative, Stranger, StrangerEnv, joint, mass
 from torch_pmil import PMIL
 from torch_pmil.demonstrations import DemonstrationError, Recordings
-from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.before_a_run import check
 
 JOBS, SEED, TRIALS = 2, 100, 4
@@ -205,7 +204,7 @@ def main() -> None:
     parser.add_argument("--names", default="", help="of the failures, by commas; all by default")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "failures")
-    arguments = parser.parse_args()
+    arguments, source = parser.parse_args(), source_of("failures")
     names = arguments.names.split(",") if arguments.names else list(FAILURES)
     if arguments.alone:
         torch.set_num_threads(1)
@@ -214,8 +213,8 @@ def main() -> None:
     with ThreadPoolExecutor(JOBS) as pool:
         rows = list(pool.map(_in_own_process, names))
     headline = {"failures": len(rows), "named_first": sum(row["right"] for row in rows)}
-    found = {"experiment": "failures", **source_of("failures"), "headline": headline, "rows": rows}
-    write_json(arguments.json, found)
+    found = {"experiment": "failures", **source, "headline": headline, "rows": rows}
+    write_summary(arguments.json, found)
     print(f"{headline['named_first']} of {headline['failures']} named first")
 
 

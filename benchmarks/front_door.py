@@ -25,9 +25,8 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from torch_pmil import PMIL, DemonstrationError
-from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.tasks.rehearsal import rehearse
 
@@ -400,7 +399,7 @@ def main() -> None:
     """Read the command line, try all cases, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add_json(parser, "front_door")
-    arguments = parser.parse_args()
+    arguments, source = parser.parse_args(), source_of("front_door")
     rows = []
     for one in (each for kind in KINDS for each in kind()):
         with tempfile.TemporaryDirectory() as folder:
@@ -420,10 +419,9 @@ def main() -> None:
     for row in table:
         print(row)
     headline = {"cases": len(rows), "wrong": sum(row["wrong"] for row in table)}
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(
+    write_summary(
         arguments.json,
-        {**source_of("front_door"), "headline": headline, "table": table, "rows": rows},
+        {**source, "headline": headline, "table": table, "rows": rows},
     )
 
 

@@ -24,8 +24,7 @@ import gpytorch
 import torch
 from torch import Tensor
 
-from benchmarks.command_line import add_json, source_of
-from torch_pmil.files import write_json
+from benchmarks.command_line import add_json, source_of, write_summary
 from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 from torch_pmil.model.dynamics import GPDynamics
@@ -61,7 +60,6 @@ def main() -> None:
         )
     torch.set_num_threads(1)
     source = source_of("gp_fit")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = [
         row
         for n in arguments.sizes
@@ -74,7 +72,7 @@ def main() -> None:
         "headline": headline(rows),
         "rows": rows,
     }
-    write_json(arguments.json, summary)
+    write_summary(arguments.json, summary)
     print(table(rows))
 
 

@@ -19,9 +19,8 @@ import torch
 from gpytorch.kernels import Kernel, LinearKernel, RBFKernel, ScaleKernel
 from torch import Tensor
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from benchmarks.gp_fit import experience
-from torch_pmil.files import write_json
 
 ITERATIONS = 150
 HELD_OUT = 300
@@ -62,8 +61,7 @@ def main() -> None:
     torch.set_num_threads(1)
     source = source_of("kernels")
     rows = [row for n in arguments.sizes for seed in SEEDS for row in measure(n, seed)]
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.json, {**source, "headline": headline(rows), "rows": rows})
+    write_summary(arguments.json, {**source, "headline": headline(rows), "rows": rows})
     for name, nats in headline(rows).items():
         print(f"{name:30s} {nats:7.2f}")
 

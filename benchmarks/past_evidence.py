@@ -15,9 +15,8 @@ import argparse
 import joblib
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from reproduction.delay_calibration import with_delay
-from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.after_a_run import evidence_in
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.tasks.registry import load_experiment
@@ -33,7 +32,6 @@ def main() -> None:
     add_json(parser, "past_evidence")
     arguments = parser.parse_args()
     source = source_of("past_evidence")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     measured = joblib.Parallel(n_jobs=joblib.cpu_count())(
         joblib.delayed(measure)(robot, seed) for robot in (*AT_ONCE, *LATE) for seed in SEEDS
     )
@@ -45,7 +43,7 @@ def main() -> None:
             for name in LATE
         },
     }
-    write_json(arguments.json, {**source, "headline": headline, "rows": measured})
+    write_summary(arguments.json, {**source, "headline": headline, "rows": measured})
     for row in measured:
         print(
             f"{row['robot']:24} {row['transitions']:4} transitions, nats of an action before "

@@ -18,9 +18,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from torch_pmil.control.policy_file import load_policy, save_policy
-from torch_pmil.files import write_json
 from torch_pmil.tasks.registry import load_experiment
 
 WARM_UP = 100  # steps that are not counted
@@ -36,9 +35,8 @@ def main() -> None:
         parser.error(f"steps must be at least 1, got {arguments.steps}")
     torch.set_num_threads(1)
     source = source_of("policy_step")
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = measure(arguments.steps)
-    write_json(arguments.json, {**source, "steps": arguments.steps, "rows": rows})
+    write_summary(arguments.json, {**source, "steps": arguments.steps, "rows": rows})
     print("\n".join(table(rows)))
 
 

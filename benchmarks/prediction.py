@@ -25,9 +25,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from benchmarks.command_line import source_of
+from benchmarks.command_line import source_of, write_summary
 from benchmarks.workloads import make_problem, signal_to_noise
-from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
 from torch_pmil.plotting.style import GREEN, style
 
@@ -64,11 +63,10 @@ def main() -> None:
     arguments = parse_arguments()
     try:
         check(arguments)
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
         summary = make_summary(arguments)
         if not any(row["library"] == OURS for row in summary["rows"]):
             raise RuntimeError(f"{OURS} could not be measured")
-        write_json(arguments.json, summary)
+        write_summary(arguments.json, summary)
         figure = plot(summary["rows"], arguments.horizon)
         save_figure(figure, arguments.json.with_name("prediction.png"))
     except (ValueError, OSError, RuntimeError) as error:

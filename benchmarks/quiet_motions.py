@@ -23,11 +23,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from reproduction.reproduction import root_of_runs
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.files import write_json
 from torch_pmil.runs.diagnosis.measures import LEARNED
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
@@ -78,9 +77,8 @@ def main() -> None:
             for motion in arguments.motions:
                 rows.append(row(task, motion, seed, arguments.trials, arguments.runs, command))
                 print(" ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     headline = {"runs": len(rows), "learned": sum(each["learned"] for each in rows)}
-    write_json(arguments.json, {**source, "headline": headline, "rows": rows})
+    write_summary(arguments.json, {**source, "headline": headline, "rows": rows})
     print(f"{headline['learned']} of {headline['runs']} runs learned")
 
 

@@ -58,16 +58,15 @@ def main() -> None:
         print(json.dumps(parts_of(arguments.experiment, arguments.seed)))
         return
     # not in the process that is measured, whose imports count
-    from benchmarks.command_line import row_of_own_process, source_of
-    from torch_pmil.files import write_json
+    from benchmarks.command_line import row_of_own_process, source_of, write_summary
 
+    source = source_of("run")
     words = ["--alone", "--experiment", arguments.experiment, "--seed", str(arguments.seed)]
     rows = [row_of_own_process("run", *words) for _ in range(REPEATS)]
     headline = sorted(rows, key=lambda row: row["cpu_seconds_total"])[REPEATS // 2]
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(
+    write_summary(
         arguments.json,
-        {**source_of("run"), "headline": headline, "parts": PARTS, "rows": rows},
+        {**source, "headline": headline, "parts": PARTS, "rows": rows},
     )
     print("\n".join(f"{name:24s} {value:8.1f}" for name, value in headline.items()))
 
@@ -75,6 +74,8 @@ def main() -> None:
 def parts_of(experiment: str, seed: int) -> dict[str, float]:
     """CPU seconds of each part of one run, their sum, and the peak of memory in MB."""
     train = import_module("torch_pmil.cli.train")
+    for module, *_ in WATCHED:
+        import_module(module)
     clock = Clock()
     with TemporaryDirectory() as folder, ExitStack() as stack:
         for module, owner, name, part in WATCHED:
@@ -87,7 +88,7 @@ def parts_of(experiment: str, seed: int) -> dict[str, float]:
         train.main()
     clock.enter("rest")
     seconds = {f"cpu_seconds_{part}": round(clock.seconds[part], 2) for part in PARTS}
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     total = round(sum(clock.seconds.values()), 2)
     return {"cpu_seconds_total": total, **seconds, "peak_mb": round(peak)}
 

@@ -22,13 +22,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from benchmarks.breakdown import HORIZON, evaluation, seconds
-from benchmarks.command_line import add_json, source_of
+from benchmarks.breakdown import HORIZON, evaluation
+from benchmarks.command_line import add_json, cpu_seconds, source_of, write_summary
 from benchmarks.workloads import make_problem
 from reproduction.plots.calibration import plot_success_calibration
 from reproduction.replayed_runs import Forecast, drawn
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.files import write_json
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.model.particles import sample_rollouts
@@ -59,7 +58,7 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=["double_pendulum", "cart_pole"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     add_json(parser, "samples")
-    arguments = parser.parse_args()
+    arguments, source = parser.parse_args(), source_of("samples")
     torch.set_num_threads(1)
     speeds = [speed(n) for n in arguments.sizes]
     for row in speeds:
@@ -72,13 +71,12 @@ def main() -> None:
         known = [row[name] for row in policies if row[name] is not None]
         headline[name] = sum(known) / len(known)
     print(headline)
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     save_figure(calibration(policies), arguments.json.with_name("calibration.png"))
-    write_json(
+    write_summary(
         arguments.json,
         {
             "experiment": "samples",
-            **source_of("samples"),
+            **source,
             "headline": headline,
             "speeds": speeds,
             "policies": policies,
@@ -109,7 +107,7 @@ def speed(n: int) -> dict[str, float]:
 
 def fastest(function: Callable[[], object]) -> float:
     """CPU milliseconds of the fastest call of several."""
-    return round(1e3 * min(seconds(function) for _ in range(REPEATED)), 2)
+    return round(1e3 * min(cpu_seconds(function) for _ in range(REPEATED)), 2)
 
 
 def run(name: str, seed: int) -> list[dict[str, Any]]:
@@ -164,9 +162,7 @@ def calibration(policies: Sequence[Mapping[str, Any]]) -> Figure:
     """Measured over predicted success of the policies, a panel for each way of predicting."""
     return plot_success_calibration(
         {
-            title: drawn(
-                [Forecast(row[f"predicted_{name}"], row["success"], STARTS) for row in policies]
-            )
+            title: drawn([Forecast(row[f"predicted_{name}"], row["success"]) for row in policies])
             for name, title in PREDICTORS.items()
         }
     )

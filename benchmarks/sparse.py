@@ -25,14 +25,12 @@ from importlib import resources
 import torch
 from torch import Tensor
 
-from benchmarks.command_line import add_json, source_of
-from benchmarks.dimensions import cpu_seconds
+from benchmarks.command_line import add_json, cpu_seconds, source_of, write_summary
 from benchmarks.measure import forget_peak, memory_mb
 from reproduction.arms import UR5E, arm_experiment
 from torch_pmil import GPDynamics, RBFPolicy
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.policy_file import load_policy
-from torch_pmil.files import write_json
 from torch_pmil.model.experience import gp_data
 from torch_pmil.search.policy_search import search_policy
 from torch_pmil.tasks.registry import load_experiment
@@ -128,10 +126,9 @@ def main() -> None:
             row = measure(ROBOTS[robot](), noise, arguments.repeats)
             rows.append({"robot": robot, "noise": noise, **row})
             print(", ".join(f"{name} {_short(value)}" for name, value in rows[-1].items()))
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     headline = {name: value for name, value in rows[0].items() if isinstance(value, float)}
     summary = {"experiment": "sparse", **source, "headline": headline, "rows": rows}
-    write_json(arguments.json, summary)
+    write_summary(arguments.json, summary)
 
 
 def _short(value: object) -> str:
@@ -141,9 +138,10 @@ def _short(value: object) -> str:
 def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
     """Costs, KL, coverage, times and memory on one robot, with noise of that size."""
     few, some, many = (problem.model(most_exact=SOME) for _ in range(3))
+    data = problem.data(MANY, 1, noise)
     forget_peak()
     before, start = memory_mb("VmRSS"), time.process_time()
-    many.fit(*problem.data(MANY, 1, noise))
+    many.fit(*data)
     expansion = many.expansion
     fit_seconds, peak = time.process_time() - start, memory_mb("VmHWM") - before
     others = problem.data(TESTED, 2, noise)

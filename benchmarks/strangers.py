@@ -3,7 +3,7 @@
 The robots are those of :mod:`benchmarks.stranger_robots`, or of a file given by ``--robots`` that
 has a dictionary ``STRANGERS``: by name, a gymnasium environment, the file of its recordings, and
 what a person would say to :class:`~torch_pmil.PMIL`. A run that is finished, of the same sources,
-is not made again, and one that was stopped goes on.
+is not made again.
 
 Example:
     python -m benchmarks.strangers --seeds 100-102 --json strangers.json
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import shutil
 import signal
 import statistics
 import sys
@@ -28,7 +29,7 @@ from typing import Any
 import torch
 
 from benchmarks.absolute import with_fixed_criteria, with_limits
-from benchmarks.command_line import add_json, row_of_own_process, source_of
+from benchmarks.command_line import add_json, row_of_own_process, source_of, write_summary
 from benchmarks.stranger_robots import STRANGERS
 from reproduction.reproduction import root_of_runs
 from torch_pmil import PMIL
@@ -76,6 +77,7 @@ def main() -> None:
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "own_strangers")
     arguments = parser.parse_args()
+    source = source_of("strangers")
     known = robots(arguments.robots)
     names = arguments.names.split(",") if arguments.names else list(known)
     first, _, last = arguments.seeds.partition("-")
@@ -95,11 +97,11 @@ def main() -> None:
         rows = list(pool.map(alone, *zip(*runs, strict=True)))
     of_each = {each: [row for row in rows if row["variation"] == each] for each in variations}
     headlines = {each: headline(found) for each, found in of_each.items()}
-    write_json(
+    write_summary(
         arguments.json,
         {
             "experiment": "strangers",
-            **source_of("strangers"),
+            **source,
             "headline": headlines[""] if variations == [""] else headlines,
             "rows": rows,
         },
@@ -133,9 +135,10 @@ def learned(name: str, make: Made, seed: int, variation: str = "") -> dict[str, 
     if variation in CHANGES:
         learner.task = CHANGES[variation](learner.task)
     out = OUT / _label(name, variation) / f"seed_{seed}"
+    shutil.rmtree(out, ignore_errors=True)  # its CPU seconds are those of one process
     end = None
     try:
-        learner.learn(seed=seed, out=out, resume=True)
+        learner.learn(seed=seed, out=out)
     except OutOfTime:
         end = OUT_OF_TIME
         learner.learn(trials=count_trials(out), seed=seed, out=out, resume=True)
@@ -174,7 +177,8 @@ def _in_own_process(
     path: Path | None, patience: int | None, variation: str, name: str, seed: int
 ) -> dict[str, Any]:
     """The row of a run in a process of its own, unless there is one."""
-    kept = OUT / "rows" / (path.stem if path else "own") / f"{_label(name, variation)}_{seed}.json"
+    file = f"{_label(name, variation)}_{patience}_{seed}.json"
+    kept = OUT / "rows" / (path.stem if path else "own") / file
     if kept.exists():
         row: dict[str, Any] = json.loads(kept.read_text())
         return row

@@ -22,11 +22,10 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from benchmarks.policy_step import timed
 from benchmarks.workloads import Evaluate, by_formulas, make_dynamics
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 from torch_pmil.tasks.registry import load_experiment
@@ -59,9 +58,8 @@ def main() -> None:
         for row in measure(size, arguments.threads, arguments.repeats)
     ]
     headline = {f"three_over_one_{row['n']}_threads_{row['threads']}": row["ratio"] for row in rows}
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     summary = {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows}
-    write_json(arguments.json, summary)
+    write_summary(arguments.json, summary)
     for row in rows:
         one, ratio = row["cpu_s"][0], row["ratio"]
         print(

@@ -14,9 +14,8 @@ import argparse
 
 import torch
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from benchmarks.sparse import NOISES, ROBOTS, SOME, TESTED, Problem, covered
-from torch_pmil.files import write_json
 
 SIZES = (100, 400)  # transitions
 
@@ -40,9 +39,8 @@ def main() -> None:
         "least_evidence_lost_nats": min(row["evidence_lost_nats"] for row in rows),
         "largest_error_ratio": max(row["error_ratio"] for row in rows),
     }
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     summary = {"experiment": "tied", **source, "headline": headline, "rows": rows}
-    write_json(arguments.json, summary)
+    write_summary(arguments.json, summary)
 
 
 def measure(problem: Problem, n: int, noise: float) -> dict[str, float]:

@@ -31,9 +31,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import GPWorldModel as TorchRLModel
 
-from benchmarks.command_line import add_json, source_of
+from benchmarks.command_line import add_json, source_of, write_summary
 from benchmarks.workloads import random_transitions, world_model
-from torch_pmil.files import write_json
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.torchrl_interop import GPWorldModel
 
@@ -66,14 +65,13 @@ def main() -> None:
     torch.set_num_threads(1)
     source = source_of("torchrl_model")
     rows = measure(arguments.n, arguments.seed)
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
     settings = {
         "botorch": version("botorch"),
         "n": arguments.n,
         "seed": arguments.seed,
         "points": POINTS,
     }
-    write_json(arguments.json, {**source, **settings, "rows": rows})
+    write_summary(arguments.json, {**source, **settings, "rows": rows})
     print(table(rows))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 
 from matplotlib.figure import Figure
 
@@ -33,6 +35,24 @@ def our_runs(root: Path, quick: bool) -> list[Run]:
     """The runs of the double pendulum that ``pmil train`` makes."""
     seeds, trials = size(quick, OUR_TRIALS)
     return [learning_run(root, load_experiment("double_pendulum"), seed, trials) for seed in seeds]
+
+
+def experience_to_goal(summary: dict) -> float:
+    """Experience (s) of a run's first trial with 95 % of success; infinite without one.
+
+    Example:
+        >>> experience_to_goal({"trials": [{"success_rate": 1.0, "experience_s": 2.5}]})
+        2.5
+    """
+    trials = summary["trials"]
+    found = [trial["experience_s"] for trial in trials if trial["success_rate"] >= GOAL]
+    return min(found, default=math.inf)
+
+
+def median_to_goal(summaries: Sequence[dict]) -> float | None:
+    """Median of the experience to 95 % of success; None if that is never."""
+    seconds = median(map(experience_to_goal, summaries))
+    return seconds if math.isfinite(seconds) else None
 
 
 def success_curves(folders: Sequence[Path], methods: Sequence[str]) -> dict[str, SuccessCurve]:

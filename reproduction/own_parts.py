@@ -7,16 +7,16 @@ GPs of another model have a Matern kernel.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 
 import torch
 from torch import Tensor, nn
 
 from examples.own_models import Matern, WithPhysics
+from reproduction.figure7 import GOAL, experience_to_goal, median_to_goal
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.sampling_frequency import Interval
 from torch_pmil.plotting import plot_success_over_experience
@@ -26,7 +26,6 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 SEEDS, QUICK_SEEDS, QUICK_TRIALS, TRIALS = range(10), range(1), 2, 12
-LEARNED = 0.95
 FEWER = 2  # seeds of the Matern kernel, whose formulas in PyTorch take minutes a trial
 GRAVITY, FRICTION, PERIOD, SUBSTEPS = 9.82, 0.1, 0.1, 2
 OFF = 4 / 3  # by which masses and length of the physics are wrong
@@ -100,15 +99,16 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         for label, found in zip(("default", what), own, strict=True):
             numbers = {
                 "runs": len(found),
-                "seeds_at_95": sum(run["saved_success_rate"] >= LEARNED for run in found),
-                "median_first_95_s": median(first_at_95(run) for run in found),
+                "seeds_at_95": sum(run["saved_success_rate"] >= GOAL for run in found),
+                "median_first_95_s": median_to_goal(found),
             }
             name = what if label == what else f"{what}_default"
-            headline |= {f"{name}_{key}": _finite(number) for key, number in numbers.items()}
+            headline |= {f"{name}_{key}": number for key, number in numbers.items()}
         count = min(map(len, own))  # in the order of the seeds
-        firsts = [[first_at_95(run) for run in found[:count]] for found in own]
+        firsts = [[experience_to_goal(run) for run in found[:count]] for found in own]
         apart = torch.tensor(firsts[1]).double() - torch.tensor(firsts[0]).double()
         known = apart[apart.isfinite()]
+        headline[f"{what}_pairs"] = len(known)  # of which both sides reached 95 %
         headline[f"{what}_later_s"] = fmean(known.tolist()) if len(known) else None
         if len(known) > 1:
             headline[f"{what}_later_s_half_interval"] = Interval.of(known).half_width
@@ -117,21 +117,6 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             curve.experience_s, curve.rates, curve.lower, curve.upper
         )
     return Results(headline, figures)
-
-
-def first_at_95(run: dict) -> float:
-    """Experience (s) of the first policy that succeeded from 95 % of the starts; infinite if none.
-
-    Example:
-        >>> first_at_95({"trials": [{"success_rate": 1.0, "experience_s": 2.5}]})
-        2.5
-    """
-    found = [each["experience_s"] for each in run["trials"] if each["success_rate"] >= LEARNED]
-    return min(found, default=math.inf)
-
-
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None
 
 
 OWN_PARTS = PaperExperiment(

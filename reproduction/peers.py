@@ -62,14 +62,14 @@ class Method:
 
         Example:
             >>> str(ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
-            'runs/double_pendulum/seed_3'
+            'runs/peers/double_pendulum/seed_3'
         """
         experiment = named(task)
         trials = trials_until(end, experiment)
         if self.peer is not None:
             rest = seed, trials, self.factor, self.settings, self.confirmations
             return peer_run(root, experiment, self.peer, *rest)
-        return learning_run(root, experiment, seed, trials)
+        return learning_run(root / "peers", experiment, seed, trials)
 
 
 def peer(

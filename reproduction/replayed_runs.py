@@ -9,7 +9,7 @@ from itertools import pairwise
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from scipy.stats import binomtest
+import numpy as np
 
 from reproduction.delay_calibration import AHEAD
 from reproduction.failure_causes import (
@@ -22,6 +22,7 @@ from reproduction.failure_causes import (
     trials_not_needed,
 )
 from torch_pmil.runs.diagnosis.measures import COVERED
+from torch_pmil.runs.summaries import wilson_interval
 
 ALL = "all"
 # success rates between which predictions are pooled
@@ -33,13 +34,11 @@ class Forecast(NamedTuple):
 
     Args:
         predicted: fraction from 0 to 1.
-        measured: from so many fresh starts.
-        starts: their number.
+        measured: from fresh starts.
     """
 
     predicted: float
     measured: float
-    starts: int
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ class ReplayedRun:
         Args:
             entry: of a :class:`~reproduction.failure_causes.ReplayedTrial`, the prediction.
         """
-        return [Forecast(getattr(t, entry), t.success_rate, t.n_eval) for t in self.trials]
+        return [Forecast(getattr(t, entry), t.success_rate) for t in self.trials]
 
 
 def counts(runs: Sequence[ReplayedRun]) -> dict[str, Any]:
@@ -158,10 +157,11 @@ def reliability(forecasts: Sequence[Forecast]) -> list[dict[str, float]]:
 
     Returns:
         Bins with a forecast, each with ``trials``, ``predicted``, ``measured``, and ``lower`` and
-        ``upper``, the 95 % interval of Clopper and Pearson of all its measured rollouts.
+        ``upper``, the 95 % interval of Wilson of as many independent trials: the rollouts of one
+        policy are not.
 
     Example:
-        >>> (pooled,) = reliability([Forecast(0.96, 1.0, 20), Forecast(1.0, 0.9, 20)])
+        >>> (pooled,) = reliability([Forecast(0.96, 1.0), Forecast(1.0, 0.9)])
         >>> pooled["trials"], pooled["predicted"], pooled["measured"]
         (2, 0.98, 0.95)
     """
@@ -169,15 +169,15 @@ def reliability(forecasts: Sequence[Forecast]) -> list[dict[str, float]]:
     for low, high in pairwise(EDGES):
         held = [f for f in forecasts if low <= f.predicted < high + (high == EDGES[-1])]
         if held:
-            successes = sum(round(f.measured * f.starts) for f in held)
-            interval = binomtest(successes, sum(f.starts for f in held)).proportion_ci()
+            measured = fmean(f.measured for f in held)
+            lower, upper = wilson_interval(np.array(measured), len(held))
             bins.append(
                 {
                     "trials": len(held),
                     "predicted": fmean(f.predicted for f in held),
-                    "measured": fmean(f.measured for f in held),
-                    "lower": interval.low,
-                    "upper": interval.high,
+                    "measured": measured,
+                    "lower": lower.item(),
+                    "upper": upper.item(),
                 }
             )
     return bins

@@ -60,7 +60,7 @@ class Run:
             return False
         summary = read_json(self.out / "summary.json")
         at_limit = summary.get("stop_reason") == LIMIT
-        return not (at_limit and len(summary["trials"]) < self.trials)
+        return not (at_limit and len(summary.get("trials", ())) < self.trials)
 
 
 @dataclass(frozen=True)

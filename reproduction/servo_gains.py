@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from reproduction.double_pendulum_servo import with_servos
-from reproduction.figure7 import GOAL
+from reproduction.figure7 import experience_to_goal
 from reproduction.plots.gains import plot_gains
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.runs.summaries import read_summary
@@ -95,13 +95,6 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         },
     }
     return Results(headline, {"servo_gains": figure}, details)
-
-
-def experience_to_goal(summary: dict) -> float:
-    """Experience (s) of a run's first trial with 95 % of success; infinite without one."""
-    trials = summary["trials"]
-    found = [trial["experience_s"] for trial in trials if trial["success_rate"] >= GOAL]
-    return min(found, default=float("inf"))
 
 
 def _name(stiffness: float, damping: float) -> str:

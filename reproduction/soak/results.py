@@ -133,7 +133,7 @@ def first_at_goal(trials: Sequence[dict]) -> int | None:
 def forecasts_of(trials: Sequence[dict]) -> list[Forecast]:
     """Predicted and measured success rate of each trial that has both."""
     return [
-        Forecast(trial["predicted_success_rate"], trial["success_rate"], trial["n_eval"])
+        Forecast(trial["predicted_success_rate"], trial["success_rate"])
         for trial in trials
         if trial.get("predicted_success_rate") is not None
     ]

@@ -26,6 +26,7 @@ from torch_pmil.plotting import Figure
 from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.trainer.ending import LIMIT
 
 COMMAND = "python scripts/reproduce.py toy"
 
@@ -87,6 +88,12 @@ def test_finished_runs_are_not_run_again() -> None:
     reproduce(TOY, False, "another")
     assert first.stat().st_mtime_ns == before
     assert json.loads(second.read_text())["command"] == "another"
+
+
+def test_replay_that_ended_at_a_limit_of_trials_is_finished(tmp_path: Path) -> None:
+    """Its summary says so of the run that was replayed, and has no trials of its own."""
+    (tmp_path / "summary.json").write_text(json.dumps({"stop_reason": LIMIT}))
+    assert Run(tmp_path, print).finished
 
 
 def test_runs_of_other_sources_are_left_alone_and_do_not_count(

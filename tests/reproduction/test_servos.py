@@ -10,7 +10,8 @@ import torch
 
 from reproduction import double_pendulum_servo, servo_gains
 from reproduction.double_pendulum_servo import varied, with_servos
-from reproduction.servo_gains import LEARNED, experience_to_goal, success_alone, with_gains
+from reproduction.figure7 import experience_to_goal
+from reproduction.servo_gains import LEARNED, success_alone, with_gains
 
 pytestmark = pytest.mark.robot
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -17,6 +18,7 @@ from reproduction.replayed_runs import ReplayedRun, counts, coverage_ahead, reli
 from reproduction.where_runs_fail import FULL, needed_runs
 from tests.helpers.short_run import quick_fits, run, short_experiment
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.runs.summaries import wilson_interval
 
 LUCK = "the own rollouts of two trials in a row succeeded"
 RIGHT = ReplayedTrial(
@@ -112,9 +114,9 @@ def test_reliability_pools_trials_of_like_predictions() -> None:
     ]
     low, high = reliability(replayed_run(*trials).forecasts("predicted_before"))
     assert (low["trials"], low["predicted"], low["measured"]) == pytest.approx((2, 0.01, 0.2))
-    assert low["lower"] == pytest.approx(0.0905, abs=1e-3)  # of 8 in 40
+    assert low["lower"] == pytest.approx(wilson_interval(np.array(0.2), 2)[0])
     assert (high["trials"], high["predicted"], high["measured"]) == (1, 1.0, 1.0)
-    assert high["lower"] == pytest.approx(0.025 ** (1 / 20))
+    assert high["lower"] == pytest.approx(1 / (1 + 1.96**2), abs=1e-4)
 
 
 def test_coverage_is_told_up_to_the_first_success_and_after() -> None:

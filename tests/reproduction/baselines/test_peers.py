@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from reproduction.baselines import tune_peers
-from reproduction.baselines.known_peers import PEERS
+from reproduction.baselines.known_peers import PEERS, named
 from reproduction.baselines.peer_run import Practice, peer_run
-from reproduction.baselines.run_peer import named
 from reproduction.baselines.tune_peers import CONFIGURATIONS, needed_runs, success
 from tests.helpers.short_run import short_experiment
 from torch_pmil.files import read_json

@@ -182,7 +182,7 @@ def test_row_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     found = row_of(SoakRun(task, 0, folder))
     assert (found["ended"], found["attempts"]) == (True, ["crashed", "ended"])
     assert (found["cpu_seconds"], found["measured_success_rate"]) == (3.0, 0.99)
-    assert found["forecasts"] == [(0.97, 1.0, 20)] and found["predicted_success_rate"] == 0.97
+    assert found["forecasts"] == [(0.97, 1.0)] and found["predicted_success_rate"] == 0.97
     folder = write_run(tmp_path, promising("biorob", 1, 1.0, 0.96), end="hung")
     found = row_of(SoakRun(task, 1, folder))
     assert (found["ended"], found["said"]) == (False, "a line")

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from http.server import ThreadingHTTPServer
 from pathlib import Path
+from statistics import fmean
 
 import pytest
 import torch
@@ -160,6 +161,9 @@ def place(s: float, variation: int) -> tuple[float, float]:
     return 0.2 + 0.6 * s, 0.7 - (0.4 + 0.01 * variation) * math.sin(math.pi * s)
 
 
+RATE = 60  # moves of the mouse in a second: so many are made, however slow the machine is
+
+
 def draw_arc(page: object, variation: int, duration: float, end: float = 1.0) -> list[list[float]]:
     """Draws an arc, or a part of it, with the mouse in real time; what was drawn, [s, m, m]."""
     box, drawn = page.locator("#paper").bounding_box(), []
@@ -171,9 +175,10 @@ def draw_arc(page: object, variation: int, duration: float, end: float = 1.0) ->
 
     go(0.0)
     page.mouse.down()
-    start = time.monotonic()
-    while (moment := (time.monotonic() - start) / duration) < 1:
-        drawn.append([moment * duration, *go(end * moment**2 * (3 - 2 * moment))])
+    start, moves = time.monotonic(), round(RATE * duration)
+    for moment in (move / moves for move in range(moves)):
+        drawn.append([time.monotonic() - start, *go(end * moment**2 * (3 - 2 * moment))])
+        time.sleep(max(0.0, start + duration * (moment + 1 / moves) - time.monotonic()))
     drawn.append([time.monotonic() - start, *go(end)])
     page.mouse.up()
     return drawn
@@ -202,7 +207,8 @@ def test_what_is_drawn_in_a_browser_is_what_is_saved(
     saved = load_demonstrations(tmp_path / "wave.npz", time_step=0.1)
     recorded = load_recordings(tmp_path / "wave.csv")
     assert saved.positions.shape[0] == 5 and saved.names == ("x", "y")
-    assert 0.5 < saved.duration <= 0.9
+    lasted = fmean(stroke[-1][0] for stroke in drawn)
+    assert 0.9 * lasted - 0.1 < saved.duration < lasted + 0.1  # without the rests, in whole periods
     pixel, strokes = SIDE / page.locator("#paper").bounding_box()["width"], map(torch.tensor, drawn)
     of_strokes = saved.positions, recorded.times, recorded.values, strokes
     for demonstration, times, values, stroke in zip(*of_strokes, strict=True):

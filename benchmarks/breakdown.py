@@ -71,7 +71,8 @@ def main() -> None:
         default=ROOT / "results/benchmarks/prediction/breakdown.json",
         help="to write",
     )
-    arguments, source = parser.parse_args(), source_of("breakdown")
+    arguments = parser.parse_args()
+    source = source_of("breakdown")
     torch.set_num_threads(1)
     rows = [
         {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.seconds)}

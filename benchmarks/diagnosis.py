@@ -115,7 +115,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=Path, default=root_of_runs(), help="folder of the runs")
     add_json(parser, "diagnosis")
-    arguments, source = parser.parse_args(), source_of("diagnosis")
+    arguments = parser.parse_args()
+    source = source_of("diagnosis")
     torch.set_num_threads(1)
     known, runs, left_out = known_experiments(), [], 0
     for path in sorted(arguments.runs.rglob("summary.json")):

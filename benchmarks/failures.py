@@ -204,12 +204,13 @@ def main() -> None:
     parser.add_argument("--names", default="", help="of the failures, by commas; all by default")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "failures")
-    arguments, source = parser.parse_args(), source_of("failures")
+    arguments = parser.parse_args()
     names = arguments.names.split(",") if arguments.names else list(FAILURES)
     if arguments.alone:
         torch.set_num_threads(1)
         print(json.dumps(failed(names[0])))
         return
+    source = source_of("failures")
     with ThreadPoolExecutor(JOBS) as pool:
         rows = list(pool.map(_in_own_process, names))
     headline = {"failures": len(rows), "named_first": sum(row["right"] for row in rows)}

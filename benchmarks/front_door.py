@@ -399,7 +399,8 @@ def main() -> None:
     """Read the command line, try all cases, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add_json(parser, "front_door")
-    arguments, source = parser.parse_args(), source_of("front_door")
+    arguments = parser.parse_args()
+    source = source_of("front_door")
     rows = []
     for one in (each for kind in KINDS for each in kind()):
         with tempfile.TemporaryDirectory() as folder:

@@ -58,7 +58,8 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=["double_pendulum", "cart_pole"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     add_json(parser, "samples")
-    arguments, source = parser.parse_args(), source_of("samples")
+    arguments = parser.parse_args()
+    source = source_of("samples")
     torch.set_num_threads(1)
     speeds = [speed(n) for n in arguments.sizes]
     for row in speeds:

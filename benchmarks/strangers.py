@@ -77,7 +77,6 @@ def main() -> None:
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     add_json(parser, "own_strangers")
     arguments = parser.parse_args()
-    source = source_of("strangers")
     known = robots(arguments.robots)
     names = arguments.names.split(",") if arguments.names else list(known)
     first, _, last = arguments.seeds.partition("-")
@@ -91,6 +90,7 @@ def main() -> None:
             _stop_after(arguments.patience)
         print(json.dumps(learned(names[0], known[names[0]], seeds[0], variations[0])))
         return
+    source = source_of("strangers")
     runs = [(each, name, seed) for each in variations for seed in seeds for name in names]
     with ThreadPoolExecutor(JOBS) as pool:
         alone = partial(_in_own_process, arguments.robots, arguments.patience)

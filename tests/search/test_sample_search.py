@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -16,12 +17,12 @@ from tests.helpers.integrator import (
     random_policy,
 )
 from tests.helpers.losses import make_cost, make_kl
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search import sample_search, trial_search
 from torch_pmil.search.losses import FAR, TrajectoryKLLoss
-from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.policy_search import SearchResult, SearchSettings
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
 from torch_pmil.search.sample_search import expected_cost, search_on_samples
-from torch_pmil.search.saturating_cost import saturating_cost
 from torch_pmil.search.trial_search import TrialSearch
 
 HORIZON = 6
@@ -47,12 +48,41 @@ def test_cost_of_a_sample_is_the_logarithm_of_its_distance(draws: Draws) -> None
     assert_close(loss.sample_costs(states), (1 + square / (2 * FAR)).log())
 
 
-def test_cost_of_a_sample_away_from_a_target_saturates(draws: Draws) -> None:
+def test_cost_of_a_sample_away_from_a_target_is_logarithmic(draws: Draws) -> None:
     loss = make_cost(0)
     states = draws.normal(5, loss.horizon + 1, 2)
-    apart = loss.space.observe(states[:, 1:]) - loss.target
-    expected = saturating_cost(apart @ loss.to_widths.mT)
-    assert_close(loss.sample_costs(states), expected)
+    residual = (loss.space.observe(states[:, 1:]) - loss.target) @ loss.to_widths.mT
+    assert_close(loss.sample_costs(states), (1 + residual.square().sum(-1) / 2).log())
+
+
+def test_a_state_may_change_the_cost_of_a_whole_motion_but_only_a_step_of_an_imitation(
+    draws: Draws,
+) -> None:
+    cost, imitation = make_cost(0), make_kl(0)
+    states = draws.normal(5, cost.horizon + 1, 2)
+    of_motions = cost.sample_costs(states).sum(-1)
+    assert_close(cost.typical_cost(states), of_motions.mean())
+    assert imitation.typical_cost(states).item() == 1
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_cost_is_searched_on_samples_alone_where_the_start_is_not_sure(
+    monkeypatch: pytest.MonkeyPatch, draws: Draws, scale: float
+) -> None:
+    """Sure is what is trusted of a step: here a tenth of the variance of the data."""
+    loss, found, alone = make_cost(0), TrialSearch._on_samples_alone, list[int]()
+
+    def noted(search: TrialSearch, *given: Any) -> SearchResult:
+        alone.append(1)
+        return found(search, *given)
+
+    monkeypatch.setattr(TrialSearch, "_on_samples_alone", noted)
+    settings = SearchSettings(1, 1, 1, trust_threshold=0.1)
+    start = Gaussian(draws.normal(2), scale * draws.cov(2, scale=1.0))
+    spread = loss._spread_of(start).item()
+    search = TrialSearch(settings, lambda: make_cost(0).actor_network, generator())
+    search.run(loss, start, None)
+    assert len(alone) == (spread > 0.1) == (scale == 1.0)
 
 
 def test_search_brings_the_samples_near_what_was_demonstrated() -> None:

@@ -36,6 +36,10 @@ def none():
     return 3
 
 
+def of_size(size):
+    return 3
+
+
 def broken():
     raise RuntimeError("the arm is broken")
 """
@@ -65,6 +69,14 @@ def test_function_of_a_module_makes_the_task(folder: Path, name: str, own: str) 
     assert is_own(name) and load_experiment(name).name == own
     shown = shipped_demonstrations("double_pendulum")
     assert load_experiment(name, shown).demonstrations is shown
+
+
+def test_function_that_takes_something_else_is_named() -> None:
+    shown = shipped_demonstrations("double_pendulum")
+    with pytest.raises(ValueError, match=r"none must take the demonstrations .* function of \(\)"):
+        load_experiment("mine.py:none", shown)
+    with pytest.raises(ValueError, match=r"of_size must need no argument, .* function of \(size\)"):
+        load_experiment("mine.py:of_size")
 
 
 def test_module_is_found_from_elsewhere_with_what_stands_beside_it(

@@ -51,3 +51,18 @@ class ExpectedCost(TrajectoryLoss):
         A cost is high far from the goal, however sure the prediction is.
         """
         return self.spread(initial, horizon)
+
+    def trusts_start(self, initial: Gaussian, threshold: float) -> bool:
+        """Whether the start is as sure as a step that is trusted.
+
+        A cost says nothing of a prediction that is wide from the first step on, such as that of a
+        pendulum which begins at any angle.
+        """
+        return self._spread_of(self.begin(initial)[0]).amax().item() <= threshold
+
+    def typical_cost(self, states: Tensor) -> Tensor:
+        r"""Cost that one state may change, by trajectories x_0..x_T, (N, \*batch, T + 1, D).
+
+        That of a whole motion: the way to the goal pays only once the robot has arrived.
+        """
+        return self.horizon * super().typical_cost(states)

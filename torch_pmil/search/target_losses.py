@@ -96,6 +96,17 @@ class ExpectedSaturatingCost(TargetLoss):
         True
     """
 
+    def sample_costs(self, states: Tensor) -> Tensor:
+        r"""Logarithmic costs (N, \*batch, T) of sampled trajectories x_0..x_T.
+
+        .. math:: \log\left(1 + \tfrac12 \|r\|^2\right)
+
+        Near the target they are the saturating costs. Trajectories far from it, as those of a
+        random policy, have a slope all the same.
+        """
+        residual = self._residual_of(self.space.observe(states[..., 1:, :]))
+        return torch.log1p(residual.square().sum(-1) / 2)
+
     def _costs(self, observed: Gaussian) -> Tensor:
         return expected_saturating_cost(self._residual(observed))
 

@@ -197,7 +197,16 @@ class TrajectoryLoss(LossModule):
         It is the predicted variance in that of the model's data, both in the match space, in the
         mean over its entries: a number without unit, whatever the task measures.
         """
-        states = self.predict_states(initial, horizon)
+        return self._spread_of(self.predict_states(initial, horizon))
+
+    def trusts_start(self, initial: Gaussian, threshold: float) -> bool:
+        """Whether moments are worth predicting from a start, given what is trusted of a step.
+
+        Here always: what is demonstrated may be as wide as the start.
+        """
+        return True
+
+    def _spread_of(self, states: Gaussian) -> Tensor:
         variance = self.space.match_space.moments(states).cov.diagonal(dim1=-2, dim2=-1)
         return (variance / self._variance_of_data).mean(-1)
 
@@ -213,7 +222,10 @@ class TrajectoryLoss(LossModule):
         return self._mean_costs(self.space.observe(states[..., 1:, :]))
 
     def typical_cost(self, states: Tensor) -> Tensor:
-        r"""Size of a step's cost along sampled trajectories x_0..x_T, (N, \*batch, T + 1, D)."""
+        r"""Cost that one state may change, by trajectories x_0..x_T, (N, \*batch, T + 1, D).
+
+        That of a step: where each step is demonstrated, a state need not care for those after it.
+        """
         costs = self.sample_costs(states).abs()
         return costs.mean().clamp(min=torch.finfo(costs.dtype).tiny)
 

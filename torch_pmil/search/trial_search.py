@@ -59,8 +59,9 @@ class TrialSearch:
     gradients vanish. The loss is searched from there only if success is then predicted from half
     the starts: until then the trajectories part, and their moments say little. The second policy
     is kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
-    has no moments in closed form, the search on samples is the whole search, and goes on from a
-    random policy if it led to nothing better than before.
+    has no moments in closed form, or a cost counts from a start that is wider than what is trusted,
+    the search on samples is the whole search, and goes on from a random policy if it led to nothing
+    better than before.
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -94,7 +95,7 @@ class TrialSearch:
         search = partial(
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )
-        if not loss.has_moments:
+        if not (loss.has_moments and loss.trusts_start(initial, settings.trust_threshold)):
             return self._on_samples_alone(loss, initial)
         if settings.sample_steps:
             return self._begun_on_samples(loss, initial, search)

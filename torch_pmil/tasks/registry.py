@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
+from inspect import signature
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -62,8 +63,8 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
 
     Raises:
         TypeError: the demonstrations are of another kind.
-        ValueError: there is no such task; the message lists those there are. Or the function
-            returns something else, or the demonstrations are not of that robot.
+        ValueError: there is no such task; the message lists those there are. Or the function takes
+            or returns something else, or the demonstrations are not of that robot.
         OSError: the file cannot be read.
         ImportError: it needs another library.
 
@@ -76,8 +77,15 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
             "demonstrations must be Demonstrations or Recordings, got "
             f"{type(demonstrations).__name__}"
         )
-    make = _maker(name)
-    task = make() if demonstrations is None else make(demonstrations)
+    make, given = _maker(name), () if demonstrations is None else (demonstrations,)
+    try:
+        signature(make).bind(*given)
+    except TypeError as error:
+        wanted = "take the demonstrations that are given" if given else "need no argument"
+        raise ValueError(
+            f"{name} must {wanted}, got a function of {signature(make)}: {error}"
+        ) from error
+    task = make(*given)
     if not isinstance(task, Task):
         raise ValueError(f"{name} must return a Task, got {type(task).__name__}")
     return task

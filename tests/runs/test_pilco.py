@@ -37,6 +37,23 @@ def test_pole_is_brought_to_rest_in_the_middle(seed: int, tmp_path: Path) -> Non
     assert (tmp_path / "run" / "report.html").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_pendulum_is_brought_up_from_any_angle(seed: int, tmp_path: Path) -> None:
+    """The one of the page, which no Gaussian start describes."""
+    pytest.importorskip("gymnasium")
+    learner = PILCO(
+        "Pendulum-v1",
+        cost=SaturatingCost(target={"cos q": 1.0, "sin q": 0.0}, width=0.5),
+        horizon=60,
+        control_period=0.1,
+        state=("cos q", "sin q", "dq"),
+    )
+    assert learner.task.initial.std.max() > 1
+    learner.learn(seed=seed, out=tmp_path / "run")
+    assert learner.evaluate() >= 0.95
+
+
 def short(control_period: float = 0.04, **settings: object) -> CostTask:
     """A task whose searches take a moment."""
     pytest.importorskip("gymnasium")

@@ -187,8 +187,8 @@ def gymnasium_tasks() -> dict[str, CostTask]:
 
 def tasks() -> dict[str, tuple[CostTask, int]]:
     """Each task, and its largest number of trials."""
-    published = {name: (each.task(name), each.trials) for name, each in SCENARIOS.items()}
-    return published | {name: (task, TRIALS) for name, task in gymnasium_tasks().items()}
+    own = {name: (task, TRIALS) for name, task in gymnasium_tasks().items()}
+    return own | {name: (each.task(name), each.trials) for name, each in SCENARIOS.items()}
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:

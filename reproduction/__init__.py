@@ -23,6 +23,7 @@ from reproduction.noise import NOISE
 from reproduction.own_parts import OWN_PARTS
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
+from reproduction.pilco_gymnasium import PILCO_GYMNASIUM
 from reproduction.pilco_scenarios import PILCO_SCENARIOS
 from reproduction.reaching import REACHING
 from reproduction.recorded_peers import RECORDED_PEERS
@@ -67,6 +68,7 @@ PAPER = {
         ACROBOT,
         IMPERFECT,
         PILCO_SCENARIOS,
+        PILCO_GYMNASIUM,
         IMPROVEMENT_STUDY,
         OWN_PARTS,
     )

@@ -1,13 +1,10 @@
-r"""The robots of the PILCO literature and of gymnasium, learned from a cost alone; ten seeds.
+r"""The robots of the PILCO literature, learned from a cost alone; ten seeds.
 
 Pendulum, cart-pole and double pendulum (Deisenroth 2010, Chapter 3;
 Deisenroth and Rasmussen 2011) are chains of uniform rods with absolute angles :math:`\theta_j` from
 upright. The centre of rod i is at :math:`x + \sum_j c_{ij} \sin\theta_j` and
 :math:`\sum_j c_{ij} \cos\theta_j`, with :math:`c_{ij} = l_j` below rod i and half of that of rod i
 itself. Lagrange's equations follow from these.
-
-Of gymnasium are InvertedPendulum-v5, which is brought to rest in the middle, and Pendulum-v1, which
-begins at any angle.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,7 +32,6 @@ from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.own_cost import own_cost
 
 SEEDS, QUICK_SEEDS, QUICK_TRIALS = range(10), range(1), 2
-TRIALS = 12  # of gymnasium's robots
 GRAVITY, SUBSTEPS, START_STD = 9.82, 5, 0.1
 
 Array = np.ndarray
@@ -164,45 +160,25 @@ SCENARIOS = {
 }
 
 
-def gymnasium_tasks() -> dict[str, CostTask]:
-    """Two robots of gymnasium, with the settings of the page on PILCO."""
-    balanced = own_cost(
-        "InvertedPendulum-v5",
-        SaturatingCost(target={"x": 0.0, "q": 0.0}, width=0.1),
-        horizon=50,
-        control_period=0.04,
-        state=("x", "q", "dx", "dq"),
-        name="pilco_inverted_pendulum",
-    )
-    any_angle = own_cost(
-        "Pendulum-v1",
-        SaturatingCost(target={"cos q": 1.0, "sin q": 0.0}, width=0.5),
-        horizon=60,
-        control_period=0.1,
-        state=("cos q", "sin q", "dq"),
-        name="pilco_any_angle",
-    )
-    return {"inverted_pendulum": balanced, "any_angle": any_angle}
-
-
-def tasks() -> dict[str, tuple[CostTask, int]]:
-    """Each task, and its largest number of trials."""
-    own = {name: (task, TRIALS) for name, task in gymnasium_tasks().items()}
-    return own | {name: (each.task(name), each.trials) for name, each in SCENARIOS.items()}
-
-
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """Each task with each seed."""
+    """Each scenario with each seed."""
     seeds = QUICK_SEEDS if quick else SEEDS
     return [
-        learning_run(root, task, seed, QUICK_TRIALS if quick else trials)
-        for task, trials in tasks().values()
+        learning_run(root, each.task(name), seed, QUICK_TRIALS if quick else each.trials)
+        for name, each in SCENARIOS.items()
         for seed in seeds
     ]
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Seeds that learned, experience and computing until the end, beside what was published.
+    """Seeds that learned, experience and computing until the end, beside what was published."""
+    published = {name: each.published for name, each in SCENARIOS.items()}
+    found = results_of(list(SCENARIOS), folders)
+    return replace(found, details={"published_experience_s": published})
+
+
+def results_of(names: Sequence[str], folders: Sequence[Path]) -> Results:
+    """Seeds that learned, experience and computing until the end, and success over experience.
 
     A run that did not learn counts as one that takes for ever. Each run has a core to itself, so
     that its seconds are CPU seconds.
@@ -210,7 +186,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     runs = [read_summary(folder) for folder in folders]
     headline: dict[str, float | None] = {}
     figures = {}
-    for name in tasks():
+    for name in names:
         own = [run for run in runs if run["experiment"] == f"pilco_{name}"]
         numbers = {
             "runs": len(own),
@@ -224,8 +200,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         figures[name] = plot_success_over_experience(
             curve.experience_s, curve.rates, curve.lower, curve.upper
         )
-    published = {name: each.published for name, each in SCENARIOS.items()}
-    return Results(headline, figures, {"published_experience_s": published})
+    return Results(headline, figures)
 
 
 def learned(summary: Mapping[str, Any]) -> bool:
@@ -246,5 +221,5 @@ def median_of_learned(summaries: Sequence[Mapping[str, Any]], key: str) -> float
 
 
 PILCO_SCENARIOS = PaperExperiment(
-    "pilco_scenarios", "robots of PILCO and of gymnasium, from a cost alone", needed_runs, results
+    "pilco_scenarios", "robots of the PILCO literature, from a cost alone", needed_runs, results
 )

@@ -49,7 +49,7 @@ COMMANDS: dict[str, str] = {  # by the folder of the result, in order
     **{f"benchmarks/{words.split()[0]}": f"python -m benchmarks.{words}" for words in BENCHMARKS},
     **{f"tasks/{name}": shipped_tasks.COMMAND for name in shipped_tasks.SEEDS},
     **{f"paper/{name}": f"python scripts/reproduce.py {name}" for name in PAPER},
-    "soak": "python scripts/soak.py --runs 240",
+    "soak": "python scripts/soak.py --runs 160",
     "benchmarks/own_strangers": STRANGERS,
     "benchmarks/strangers": f"{STRANGERS} {THEIRS} "
     "--json results/benchmarks/strangers/summary.json",

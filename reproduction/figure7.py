@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -51,8 +51,18 @@ def experience_to_goal(summary: dict) -> float:
 
 def median_to_goal(summaries: Sequence[dict]) -> float | None:
     """Median of the experience to 95 % of success; None if that is never."""
-    seconds = median(map(experience_to_goal, summaries))
-    return seconds if math.isfinite(seconds) else None
+    return finite_median(map(experience_to_goal, summaries))
+
+
+def finite_median(numbers: Iterable[float]) -> float | None:
+    """Median of numbers that may be infinite; None if it is.
+
+    Example:
+        >>> finite_median([2.0, 3.0, math.inf]), finite_median([2.0, math.inf, math.inf])
+        (3.0, None)
+    """
+    middle = median(numbers)
+    return middle if math.isfinite(middle) else None
 
 
 def success_curves(folders: Sequence[Path], methods: Sequence[str]) -> dict[str, SuccessCurve]:

@@ -10,7 +10,6 @@ itself. Lagrange's equations follow from these.
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from reproduction.figure7 import GOAL, median_to_goal
+from reproduction.figure7 import GOAL, finite_median, median_to_goal
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.runge_kutta import runge_kutta
 from torch_pmil.control.state_space import MatchSpace
@@ -216,8 +215,7 @@ def median_of_learned(summaries: Sequence[Mapping[str, Any]], key: str) -> float
         >>> median_of_learned(runs, "s"), median_of_learned(runs[1:] + runs[2:], "s")
         (2.0, None)
     """
-    median = statistics.median(run[key] if learned(run) else math.inf for run in summaries)
-    return median if math.isfinite(median) else None
+    return finite_median(run[key] if learned(run) else math.inf for run in summaries)
 
 
 PILCO_SCENARIOS = PaperExperiment(

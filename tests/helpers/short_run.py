@@ -89,9 +89,9 @@ def replace_task(patch: pytest.MonkeyPatch, task: Task, name: str = "double_pend
     patch.setattr(f"{module}.{name}", lambda demonstrations=None: task)
 
 
-def stalling(name: str = "double_pendulum", **changes: object) -> Task:
+def stalling(name: str = "double_pendulum", trust: float = 1e-9, **changes: object) -> Task:
     """A short task of which no step counts as matched: searches stall and begin anew."""
-    search = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=1e-9)
+    search = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=trust)
     return short_experiment(name=name, search=search, **changes)
 
 

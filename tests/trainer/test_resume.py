@@ -46,6 +46,7 @@ STOPS = (
     ("renaming", 3),
     ("fit", 2 * TRIALS + 1),  # all trials are done, the best policy is chosen
 )
+START_TRUSTED = 1.0  # of what a cost doubts: the start is surer, the first steps are not
 FEW = (STOPS[1], STOPS[6], STOPS[7], STOPS[-1])  # one of each phase that writes no file
 
 
@@ -133,7 +134,7 @@ def noisy() -> Task:
 
 
 MAKERS: dict[str, Callable[[], Task]] = {
-    "PILCO": partial(stalling, "double_pendulum_pilco"),
+    "PILCO": partial(stalling, "double_pendulum_pilco", START_TRUSTED),
     "noisy sensors": noisy,
     "PD movements": partial(stalling, exploration=PD_MOVEMENTS),
 }

@@ -34,7 +34,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.own_files import LIST
 from torch_pmil.runs.settings import word_of
 from torch_pmil.runs.training import RunResult, train as learn
-from torch_pmil.search import trial_search
+from torch_pmil.search import sample_search, trial_search
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS
 from torch_pmil.tasks.task import Task
@@ -484,7 +484,7 @@ def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
 ) -> None:
     shipped = shipped_demonstrations()
     replace(shipped, positions=shipped.positions[[0, 1, 2, 3, 4, 1]]).save("own.npz")
-    monkeypatch.setattr(trial_search, "search_on_samples", interrupted)
+    monkeypatch.setattr(sample_search, "search_on_samples", interrupted)
     quick_fits(monkeypatch)
     with pytest.raises(SystemExit):
         script("demonstrations=own.npz", "trials=1", "out=run")

@@ -134,13 +134,14 @@ def test_search_ends_before_a_step_that_is_no_number(monkeypatch: pytest.MonkeyP
 
 
 class Scripted:
-    """A promise with this bound, and the costs of the policy on samples and of that of the loss."""
+    """A promise for which these success rates are predicted, the last of them for ever."""
 
-    def __init__(self, promised: float) -> None:
-        self.aim, self._promised = 0.975, promised
+    def __init__(self, *rates: float) -> None:
+        self.aim, self.left = 0.975, list(rates)
 
     def predicted(self, *_: object) -> PredictedSuccess:
-        return PredictedSuccess(round(self._promised * SAMPLES))
+        rate = self.left.pop(0) if len(self.left) > 1 else self.left[0]
+        return PredictedSuccess(round(rate * SAMPLES))
 
 
 @pytest.mark.parametrize(
@@ -164,8 +165,9 @@ def test_trial_keeps_what_keeps_the_promise_or_costs_less(
 
         return search
 
-    for number, name in ((1, "search_on_samples"), (2, "search_policy")):
-        monkeypatch.setattr(trial_search, name, marked(number, getattr(trial_search, name)))
+    searches = (sample_search, "search_on_samples"), (trial_search, "search_policy")
+    for number, (module, name) in enumerate(searches, 1):
+        monkeypatch.setattr(module, name, marked(number, getattr(module, name)))
     monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
     promise = None if promised is None else Scripted(promised)
     settings = SearchSettings(2, 2, 2, sample_steps=3)
@@ -199,14 +201,14 @@ def test_trial_searches_the_loss_only_where_samples_succeed_from_half_the_starts
 def test_trial_begins_with_a_random_policy_while_the_last_one_is_predicted_to_fail(
     monkeypatch: pytest.MonkeyPatch, predicted: float | None, anew: bool
 ) -> None:
-    loss, found, begun = integrator(), trial_search.search_on_samples, list[torch.Tensor]()
+    loss, found, begun = integrator(), sample_search.search_on_samples, list[torch.Tensor]()
     last, random = loss.actor_network.weights.clone(), random_policy(Draws(1))
 
     def noted(*arguments: object) -> object:
         begun.append(loss.actor_network.weights.clone())
         return found(*arguments)
 
-    monkeypatch.setattr(trial_search, "search_on_samples", noted)
+    monkeypatch.setattr(sample_search, "search_on_samples", noted)
     promise = None if predicted is None else Scripted(predicted)
     settings = SearchSettings(2, 2, 2, sample_steps=3)
     search = TrialSearch(settings, lambda: random, generator(), promise)
@@ -225,44 +227,71 @@ def test_gradient_of_a_particle_is_bounded_by_the_spread_of_all_states() -> None
     assert_close(units, sample_search.PARTICLES * spread, rtol=0.2, atol=0)
 
 
-@pytest.mark.parametrize(
-    ("promised", "costs", "kept"),
-    [
-        (1.0, (1.0, 1.0), [1, 2]),
-        (0.5, (1.0, 0.7), [1, 2]),
-        (0.5, (1.0, 0.9, 0.8), [1, 3]),
-        (0.5, (1.0, 0.9, 0.95), [1, 2]),
-        (0.5, (-10.0, -9.0, -8.0), [1, 2]),
-        (0.5, (math.inf, 1.0), [2]),
-    ],
-    ids=[
-        "promise kept",
-        "progress",
-        "a random policy leads further",
-        "it does not",
-        "negative",
-        "not finite",
-    ],
-)
-def test_trial_on_samples_alone_begins_anew_without_progress(
-    monkeypatch: pytest.MonkeyPatch, promised: float, costs: tuple[float, ...], kept: list[int]
+ALONE = {  # predicted rates and costs of the last policy and of those found, and the one kept
+    "success is predicted from half the starts": ((0.0, 0.5), (1.0, 2.0), 1),
+    "progress": ((0.0, 0.0), (1.0, 0.7), 1),
+    "progress where none was finite": ((0.0, 0.0), (math.inf, 1.0), 1),
+    "a random policy leads further": ((0.0, 0.0, 0.4), (1.0, 0.9, 0.8), 2),
+    "it does not": ((0.0, 0.0, 0.4), (1.0, 0.9, 0.95), 1),
+    "the last one costs least": ((0.0, 0.0, 0.4), (1.0, 1.1, 1.2), 0),
+    "it costs least, below zero": ((0.0, 0.0, 0.0), (-10.0, -9.0, -8.0), 0),
+    "the last one succeeds most": ((0.9, 0.8), (1.0, 0.7), 0),
+}
+
+
+@pytest.mark.parametrize("case", ALONE)
+def test_trial_on_samples_alone_begins_anew_without_progress_and_keeps_the_best(
+    monkeypatch: pytest.MonkeyPatch, case: str
 ) -> None:
-    loss, left, searches = integrator(), iter(costs), iter(range(1, 9))
-    found = trial_search.search_on_samples
+    rates, costs, kept = ALONE[case]
+    loss, left, searches = integrator(), iter(costs), iter((1, 2))
+    found = sample_search.search_on_samples
+    monkeypatch.setattr(type(loss), "has_moments", property(lambda _: False))
+    loss.actor_network.weights.data.zero_()
 
     def marked(*arguments: object) -> object:
         result = found(*arguments)
         loss.actor_network.weights.data.fill_(next(searches))
         return result
 
-    monkeypatch.setattr(type(loss), "has_moments", property(lambda _: False))
-    monkeypatch.setattr(trial_search, "search_on_samples", marked)
-    monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
-    settings = SearchSettings(2, 2, 2, sample_steps=3)
-    search = TrialSearch(
-        settings, lambda: integrator().actor_network, generator(), Scripted(promised)
-    )
-    for number in kept:
-        search.run(loss, INITIAL, None)
-        assert loss.actor_network.weights[0, 0].item() == number
+    monkeypatch.setattr(sample_search, "search_on_samples", marked)
+    monkeypatch.setattr(sample_search, "expected_cost", lambda *_: next(left))
+    settings, random = SearchSettings(2, 2, 2, sample_steps=3), integrator().actor_network
+    search = TrialSearch(settings, lambda: random, generator(), Scripted(*rates))
+    search.load_state_dict({"least": costs[0], "credit": 0})
+    result = search.run(loss, INITIAL, None)
+    assert (loss.actor_network.weights == kept).all()
+    assert result.evaluations == 3 * (len(costs) - 1) and search.result is result
     assert next(left, None) is None
+
+
+@pytest.mark.parametrize(
+    ("complete", "promised", "kept"),
+    [
+        (True, (0.9, 0.9, 0.95), 1),
+        (True, (0.9, 0.9, 0.85), 0),
+        (True, (1.0,), 0),
+        (False, (0.9,), 0),
+    ],
+    ids=["samples succeed more", "moments do", "the promise is kept", "too far to be trusted"],
+)
+def test_search_of_a_cost_by_moments_ends_on_samples_where_it_breaks_its_promise(
+    monkeypatch: pytest.MonkeyPatch, complete: bool, promised: tuple[float, ...], kept: int
+) -> None:
+    loss, found = make_cost(0), sample_search.search_on_samples
+    monkeypatch.setattr(SearchResult, "complete", property(lambda _: complete))
+    monkeypatch.setattr(type(loss), "trusts_start", lambda *_: True)
+
+    def marked(*arguments: object) -> object:
+        result = found(*arguments)
+        loss.actor_network.weights.data.fill_(1)
+        return result
+
+    monkeypatch.setattr(sample_search, "search_on_samples", marked)
+    make, promise = lambda: make_cost(0).actor_network, Scripted(*promised)
+    start = Gaussian(Draws(2).normal(2), 1e-3 * torch.eye(2).double())
+    search = TrialSearch(SearchSettings(1, 1, 1, sample_steps=0), make, generator(), promise)
+    search.load_state_dict({"least": math.inf, "credit": 0})
+    search.run(loss, start, None)
+    assert bool((loss.actor_network.weights == 1).all()) == kept
+    assert promise.left == [promised[-1]]  # samples were searched only where they could help

@@ -11,7 +11,10 @@ L-BFGS is unfit for it: Adam takes its steps (Kingma and Ba 2015).
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,12 +26,15 @@ from torch_pmil.model.sampled_rollouts import (
     noise_of_steps,
     sample_consistent_rollouts,
 )
+from torch_pmil.search.policy_search import SearchResult, SearchRuns
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.seeds import draw_seed
 
 PARTICLES = 50  # of each step of Adam
 REDRAWN = 10  # steps after which particles follow other functions
 RATE, LAST_RATE = 0.03, 0.003  # of Adam, at first and at last; parameters are of order one
 JUDGES = 200  # particles by which policies are compared
+PROMISING = 0.5  # predicted success rate from which a policy is worth more than a lower cost
 
 
 def search_on_samples(
@@ -99,3 +105,67 @@ def expected_cost(loss: TrajectoryLoss, initial: Gaussian, seed: int) -> float:
     states = _rollouts(loss, initial, JUDGES, torch.Generator().manual_seed(seed))
     cost = mean_cost(loss, states).item()
     return cost if math.isfinite(cost) else math.inf
+
+
+class Judgement(NamedTuple):
+    """What samples say of a policy: its predicted success rate and its expected cost."""
+
+    rate: float
+    cost: float
+
+    @property
+    def promising_rate(self) -> float:
+        """The rate, or 0 below ``PROMISING``: the model of early trials errs by more."""
+        return self.rate if self.rate >= PROMISING else 0.0
+
+    @property
+    def merit(self) -> tuple[float, float]:
+        """By what policies are compared: first the promising rate, then the cost."""
+        return self.promising_rate, -self.cost
+
+
+class SampleSearches:
+    """Searches on samples; the policy before the first of them is a candidate too.
+
+    Adam may leave a good policy for a worse one. All are judged on the same samples.
+
+    Args:
+        runs: of the optimiser, to which the searches are added; its loss holds the policy.
+        steps: of Adam, in each search.
+        generator: seeded source of all draws.
+        rate: predicts the success rate of the present policy.
+    """
+
+    def __init__(
+        self,
+        runs: SearchRuns,
+        steps: int,
+        generator: torch.Generator,
+        rate: Callable[[], float],
+    ) -> None:
+        self.runs, self.steps, self.generator, self.rate = runs, steps, generator, rate
+        self._seed = draw_seed(generator)
+        self._found = [self._judged()]
+
+    def search(self) -> Judgement:
+        """Search from the present policy, and judge the one that is found."""
+        add_search_on_samples(self.runs, self.steps, self.generator)
+        self._found.append(self._judged())
+        return self._found[-1][0]
+
+    def best(self) -> SearchResult:
+        """Outcome of all searches, with the best policy in the loss."""
+        _, parameters = max(self._found, key=lambda each: each[0].merit)
+        self.runs.loss.actor_network.load_state_dict(parameters)
+        return self.runs.result(self.runs.loss.horizon)
+
+    def _judged(self) -> tuple[Judgement, dict[str, Tensor]]:
+        loss, initial = self.runs.loss, self.runs.initial
+        judgement = Judgement(self.rate(), expected_cost(loss, initial, self._seed))
+        return judgement, copy.deepcopy(loss.actor_network.state_dict())
+
+
+def add_search_on_samples(runs: SearchRuns, steps: int, generator: torch.Generator) -> None:
+    """Search on samples from the present policy, as one of the runs of the optimiser."""
+    runs.runs.append(search_on_samples(runs.loss, runs.initial, steps, generator))
+    runs.report("samples", runs.runs[-1].loss)

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.search.expected_cost import ExpectedCost
 from torch_pmil.search.policy_search import (
     Report,
     SearchResult,
@@ -26,7 +27,13 @@ from torch_pmil.search.policy_search import (
     search_policy,
 )
 from torch_pmil.search.promise import Promise
-from torch_pmil.search.sample_search import expected_cost, search_on_samples
+from torch_pmil.search.sample_search import (
+    PROMISING,
+    Judgement,
+    SampleSearches,
+    add_search_on_samples,
+    expected_cost,
+)
 from torch_pmil.search.success_search import search_for_success
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.seeds import draw_seed
@@ -34,8 +41,7 @@ from torch_pmil.seeds import draw_seed
 # trust of a search that comes no further, and its last iterations, in those of the settings
 BOLDER = 4.0
 PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
-ALONE = 500  # steps of a search on samples that nothing follows
-PROMISING = 0.5  # predicted success rate of a policy from samples, from which the loss is searched
+ALONE = 500  # steps of a search on samples that settings do not ask for
 FAR_OFF = 0.1  # that of the last policy, below which samples are searched from a random one
 
 
@@ -60,8 +66,9 @@ class TrialSearch:
     the starts: until then the trajectories part, and their moments say little. The second policy
     is kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
     has no moments in closed form, or a cost counts from a start that is wider than what is trusted,
-    the search on samples is the whole search, and goes on from a random policy if it led to nothing
-    better than before.
+    the search on samples is the whole search. It goes on from a random policy if it led to nothing
+    better than before. The search of a cost by moments ends on samples instead of a search for
+    success. The best of these policies is kept (:class:`SampleSearches`).
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -119,6 +126,8 @@ class TrialSearch:
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
         self._credit += self.result.evaluations
+        if isinstance(loss, ExpectedCost):
+            return self._ended_on_samples(loss, initial)
         if self.promise is not None and self.result.complete:
             known, credit = (loss, initial, self.promise, settings, self.result), self._credit
             others: Iterator[AnyPolicy] = iter(())
@@ -152,18 +161,30 @@ class TrialSearch:
         return self._kept(loss, (first, found), second, better)
 
     def _on_samples_alone(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchResult:
-        """Search on samples, from a random policy too where the last one led to nothing better."""
-        steps = self.settings.sample_steps or ALONE
-        self.result = first = self._on_samples(loss, initial, steps)
-        judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
-        expected, found = judge(), copy.deepcopy(loss.actor_network.state_dict())
-        progress, self._least = self._progresses(expected), min(self._least, expected)
-        if progress or self._keeps_promise(loss, initial):
-            return first
-        loss.actor_network.load_state_dict(self.make_policy().state_dict())
-        second, other = self._on_samples(loss, initial, steps), judge()
-        self._least = min(self._least, other)
-        return self._kept(loss, (first, found), second, other < expected)
+        """Search on samples, from a random policy too where the last one led to little."""
+        searches = self._sample_searches(loss, initial)
+        if not self._leads_on(searches.search()):
+            loss.actor_network.load_state_dict(self.make_policy().state_dict())
+            self._leads_on(searches.search())
+        self.result = searches.best()
+        return self.result
+
+    def _ended_on_samples(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchResult:
+        """Search on samples too if the last steps are trusted and the promise is not kept."""
+        if self.result.complete and self.promise and not self._keeps_promise(loss, initial):
+            searches = self._sample_searches(loss, initial)
+            searches.search()
+            self.result = searches.best().with_work_of(self.result)
+        return self.result
+
+    def _sample_searches(self, loss: TrajectoryLoss, initial: Gaussian) -> SampleSearches:
+        steps, rate = self.settings.sample_steps or ALONE, partial(self._rate, loss, initial)
+        return SampleSearches(self._runs(loss, initial), steps, self.generator, rate)
+
+    def _leads_on(self, found: Judgement) -> bool:
+        """Whether a policy is promising, or its cost is well below the least so far."""
+        progress, self._least = self._progresses(found.cost), min(self._least, found.cost)
+        return progress or found.promising_rate > 0
 
     def _kept(
         self,
@@ -191,10 +212,12 @@ class TrialSearch:
 
     def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
         """Search the whole horizon on samples, from the present policy."""
-        runs = SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
-        runs.runs.append(search_on_samples(loss, initial, steps, self.generator))
-        self.report("samples", runs.runs[-1].loss)
+        runs = self._runs(loss, initial)
+        add_search_on_samples(runs, steps, self.generator)
         return runs.result(loss.horizon)
+
+    def _runs(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchRuns:
+        return SearchRuns(loss, initial, self.settings, self.report, self.optimizer)
 
     def _enough(self, succeeded: bool | None) -> bool:
         """Whether the best policy so far makes other starts needless."""

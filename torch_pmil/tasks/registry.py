@@ -78,13 +78,12 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
             f"{type(demonstrations).__name__}"
         )
     make, given = _maker(name), () if demonstrations is None else (demonstrations,)
+    taken = signature(make)
     try:
-        signature(make).bind(*given)
+        taken.bind(*given)
     except TypeError as error:
         wanted = "take the demonstrations that are given" if given else "need no argument"
-        raise ValueError(
-            f"{name} must {wanted}, got a function of {signature(make)}: {error}"
-        ) from error
+        raise ValueError(f"{name} must {wanted}, got a function of {taken}: {error}") from error
     task = make(*given)
     if not isinstance(task, Task):
         raise ValueError(f"{name} must return a Task, got {type(task).__name__}")

@@ -45,7 +45,7 @@ def test_pendulum_is_brought_up_from_any_angle(seed: int, tmp_path: Path) -> Non
     learner = PILCO(
         "Pendulum-v1",
         cost=SaturatingCost(target={"cos q": 1.0, "sin q": 0.0}, width=0.5),
-        horizon=80,
+        horizon=100,
         control_period=0.1,
         state=("cos q", "sin q", "dq"),
     )

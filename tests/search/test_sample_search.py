@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ from torch_pmil.search.losses import FAR, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
 from torch_pmil.search.sample_search import expected_cost, search_on_samples
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.search.trial_search import TrialSearch
 
 HORIZON = 6
@@ -144,6 +146,24 @@ class Scripted:
         return PredictedSuccess(round(rate * SAMPLES))
 
 
+def leave_weights(
+    patch: pytest.MonkeyPatch,
+    loss: TrajectoryLoss,
+    numbers: Sequence[int],
+    module: object = sample_search,
+    name: str = "search_on_samples",
+) -> None:
+    """Let the searches of a kind end with these weights, one number after the other."""
+    search, left = getattr(module, name), iter(numbers)
+
+    def marked(*arguments: object, **options: object) -> object:
+        result = search(*arguments, **options)
+        loss.actor_network.weights.data.fill_(next(left))
+        return result
+
+    patch.setattr(module, name, marked)
+
+
 @pytest.mark.parametrize(
     ("promised", "costs", "kept"),
     [(1.0, (1.0, 2.0), 2), (0.5, (1.0, 2.0), 1), (0.5, (2.0, 1.0), 2), (None, (1.0, 2.0), 1)],
@@ -156,18 +176,8 @@ def test_trial_keeps_what_keeps_the_promise_or_costs_less(
     kept: int,
 ) -> None:
     loss, left = integrator(), iter(costs)
-
-    def marked(number: int, function: object) -> object:
-        def search(*arguments: object, **options: object) -> object:
-            result = function(*arguments, **options)
-            loss.actor_network.weights.data.fill_(number)
-            return result
-
-        return search
-
-    searches = (sample_search, "search_on_samples"), (trial_search, "search_policy")
-    for number, (module, name) in enumerate(searches, 1):
-        monkeypatch.setattr(module, name, marked(number, getattr(module, name)))
+    leave_weights(monkeypatch, loss, [1])
+    leave_weights(monkeypatch, loss, [2], trial_search, "search_policy")
     monkeypatch.setattr(trial_search, "expected_cost", lambda *_: next(left))
     promise = None if promised is None else Scripted(promised)
     settings = SearchSettings(2, 2, 2, sample_steps=3)
@@ -244,17 +254,10 @@ def test_trial_on_samples_alone_begins_anew_without_progress_and_keeps_the_best(
     monkeypatch: pytest.MonkeyPatch, case: str
 ) -> None:
     rates, costs, kept = ALONE[case]
-    loss, left, searches = integrator(), iter(costs), iter((1, 2))
-    found = sample_search.search_on_samples
+    loss, left = integrator(), iter(costs)
     monkeypatch.setattr(type(loss), "has_moments", property(lambda _: False))
     loss.actor_network.weights.data.zero_()
-
-    def marked(*arguments: object) -> object:
-        result = found(*arguments)
-        loss.actor_network.weights.data.fill_(next(searches))
-        return result
-
-    monkeypatch.setattr(sample_search, "search_on_samples", marked)
+    leave_weights(monkeypatch, loss, [1, 2])
     monkeypatch.setattr(sample_search, "expected_cost", lambda *_: next(left))
     settings, random = SearchSettings(2, 2, 2, sample_steps=3), integrator().actor_network
     search = TrialSearch(settings, lambda: random, generator(), Scripted(*rates))
@@ -278,16 +281,10 @@ def test_trial_on_samples_alone_begins_anew_without_progress_and_keeps_the_best(
 def test_search_of_a_cost_by_moments_ends_on_samples_where_it_breaks_its_promise(
     monkeypatch: pytest.MonkeyPatch, complete: bool, promised: tuple[float, ...], kept: int
 ) -> None:
-    loss, found = make_cost(0), sample_search.search_on_samples
+    loss = make_cost(0)
     monkeypatch.setattr(SearchResult, "complete", property(lambda _: complete))
     monkeypatch.setattr(type(loss), "trusts_start", lambda *_: True)
-
-    def marked(*arguments: object) -> object:
-        result = found(*arguments)
-        loss.actor_network.weights.data.fill_(1)
-        return result
-
-    monkeypatch.setattr(sample_search, "search_on_samples", marked)
+    leave_weights(monkeypatch, loss, [1])
     make, promise = lambda: make_cost(0).actor_network, Scripted(*promised)
     start = Gaussian(Draws(2).normal(2), 1e-3 * torch.eye(2).double())
     search = TrialSearch(SearchSettings(1, 1, 1, sample_steps=0), make, generator(), promise)

@@ -34,7 +34,9 @@ PARTICLES = 50  # of each step of Adam
 REDRAWN = 10  # steps after which particles follow other functions
 RATE, LAST_RATE = 0.03, 0.003  # of Adam, at first and at last; parameters are of order one
 JUDGES = 200  # particles by which policies are compared
-PROMISING = 0.5  # predicted success rate from which a policy is worth more than a lower cost
+PROMISING = (
+    0.5  # predicted success rate from which it counts: the model of early trials errs by more
+)
 
 
 def search_on_samples(
@@ -114,14 +116,9 @@ class Judgement(NamedTuple):
     cost: float
 
     @property
-    def promising_rate(self) -> float:
-        """The rate, or 0 below ``PROMISING``: the model of early trials errs by more."""
-        return self.rate if self.rate >= PROMISING else 0.0
-
-    @property
     def merit(self) -> tuple[float, float]:
-        """By what policies are compared: first the promising rate, then the cost."""
-        return self.promising_rate, -self.cost
+        """By what policies are compared: first a promising rate, then the cost."""
+        return self.rate if self.rate >= PROMISING else 0.0, -self.cost
 
 
 class SampleSearches:

@@ -29,7 +29,6 @@ from torch_pmil.search.policy_search import (
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.sample_search import (
     PROMISING,
-    Judgement,
     SampleSearches,
     add_search_on_samples,
     expected_cost,
@@ -126,16 +125,17 @@ class TrialSearch:
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
         self._credit += self.result.evaluations
+        if self.promise is None or not self.result.complete:
+            return self.result
         if isinstance(loss, ExpectedCost):
             return self._ended_on_samples(loss, initial)
-        if self.promise is not None and self.result.complete:
-            known, credit = (loss, initial, self.promise, settings, self.result), self._credit
-            others: Iterator[AnyPolicy] = iter(())
-            if succeeded:
-                others = (self.make_policy() for _ in count())
-            before = self.result.evaluations
-            self.result = search_for_success(*known, credit, others, report, optimizer)
-            self._credit -= self.result.evaluations - before
+        known, credit = (loss, initial, self.promise, settings, self.result), self._credit
+        others: Iterator[AnyPolicy] = iter(())
+        if succeeded:
+            others = (self.make_policy() for _ in count())
+        before = self.result.evaluations
+        self.result = search_for_success(*known, credit, others, report, optimizer)
+        self._credit -= self.result.evaluations - before
         return self.result
 
     def begin_anew(self) -> None:
@@ -151,7 +151,9 @@ class TrialSearch:
         """Search on samples, then the loss if they promise much, and keep the better policy."""
         if self._rate(loss, initial) < FAR_OFF:
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
-        self.result = first = self._on_samples(loss, initial, self.settings.sample_steps)
+        runs = self._runs(loss, initial)
+        add_search_on_samples(runs, self.settings.sample_steps, self.generator)
+        self.result = first = runs.result(loss.horizon)
         if self._rate(loss, initial) < PROMISING:
             return first
         judge = partial(expected_cost, loss, initial, draw_seed(self.generator))
@@ -163,15 +165,17 @@ class TrialSearch:
     def _on_samples_alone(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchResult:
         """Search on samples, from a random policy too where the last one led to little."""
         searches = self._sample_searches(loss, initial)
-        if not self._leads_on(searches.search()):
+        found = searches.search()
+        if found.rate < PROMISING and not self._progresses(found.cost):
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
-            self._leads_on(searches.search())
+            found = min(found, searches.search(), key=lambda each: each.cost)
+        self._least = min(self._least, found.cost)
         self.result = searches.best()
         return self.result
 
     def _ended_on_samples(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchResult:
-        """Search on samples too if the last steps are trusted and the promise is not kept."""
-        if self.result.complete and self.promise and not self._keeps_promise(loss, initial):
+        """Search on samples too if the promise is not kept, from the policy that moments found."""
+        if not self._keeps_promise(loss, initial):
             searches = self._sample_searches(loss, initial)
             searches.search()
             self.result = searches.best().with_work_of(self.result)
@@ -180,11 +184,6 @@ class TrialSearch:
     def _sample_searches(self, loss: TrajectoryLoss, initial: Gaussian) -> SampleSearches:
         steps, rate = self.settings.sample_steps or ALONE, partial(self._rate, loss, initial)
         return SampleSearches(self._runs(loss, initial), steps, self.generator, rate)
-
-    def _leads_on(self, found: Judgement) -> bool:
-        """Whether a policy is promising, or its cost is well below the least so far."""
-        progress, self._least = self._progresses(found.cost), min(self._least, found.cost)
-        return progress or found.promising_rate > 0
 
     def _kept(
         self,
@@ -209,12 +208,6 @@ class TrialSearch:
     def _keeps_promise(self, loss: TrajectoryLoss, initial: Gaussian) -> bool:
         promise = self.promise
         return promise is not None and promise.predicted(loss, initial).least >= promise.aim
-
-    def _on_samples(self, loss: TrajectoryLoss, initial: Gaussian, steps: int) -> SearchResult:
-        """Search the whole horizon on samples, from the present policy."""
-        runs = self._runs(loss, initial)
-        add_search_on_samples(runs, steps, self.generator)
-        return runs.result(loss.horizon)
 
     def _runs(self, loss: TrajectoryLoss, initial: Gaussian) -> SearchRuns:
         return SearchRuns(loss, initial, self.settings, self.report, self.optimizer)

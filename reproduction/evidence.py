@@ -7,7 +7,8 @@ Example:
 prints which results are of other sources (a hash of the package's code, see ``sources`` in each
 summary) and runs the commands that make them, on all cores. What was learned with the present
 sources is not learned again, and what was stopped goes on, so a second call does nothing. A command
-that fails is named in the end, and stops no other. ``--list`` runs none.
+that fails is named in the end, and stops no other. ``--list`` runs none. What compares a GPU is made
+only where there is one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+
+import torch
 
 from reproduction import PAPER, shipped_tasks
 from reproduction.reproduction import ends_in_one_line
@@ -42,11 +45,13 @@ BENCHMARKS = (  # timings first
     "front_door",
     "failures",
 )
+OF_A_GPU = "benchmarks/device"
 STRANGERS = "python -m benchmarks.strangers"
 THEIRS = "--robots ../shared/strangers/robots.py --seeds 110-112"
 CHANGES = "',no past,fixed criteria,limits,own step'"
 COMMANDS: dict[str, str] = {  # by the folder of the result, in order
     **{f"benchmarks/{words.split()[0]}": f"python -m benchmarks.{words}" for words in BENCHMARKS},
+    OF_A_GPU: "python -m benchmarks.device",
     **{f"tasks/{name}": shipped_tasks.COMMAND for name in shipped_tasks.SEEDS},
     **{f"paper/{name}": f"python scripts/reproduce.py {name}" for name in PAPER},
     "soak": "python scripts/soak.py --runs 160",
@@ -70,7 +75,8 @@ def sources_of(name: str, results: Path) -> str:
 
 def old_results(results: Path) -> dict[str, str]:
     """The results that the present sources did not make, in order, with what made them."""
-    made = {name: sources_of(name, results) for name in COMMANDS}
+    names = [name for name in COMMANDS if name != OF_A_GPU or torch.cuda.is_available()]
+    made = {name: sources_of(name, results) for name in names}
     return {name: sources for name, sources in made.items() if sources != hash_of_sources()}
 
 

@@ -206,8 +206,9 @@ class Gaussian:
     def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
         """Draws, (count, *batch, D), also from a singular covariance, through its eigenvectors."""
         check_whole("count", count, 0)
-        values, vectors = torch.linalg.eigh(self.cov)
-        root = vectors * values.clamp(min=0).sqrt()[..., None, :]
+        # eigenvectors have no sign of their own: those of the CPU give the same draws everywhere
+        values, vectors = torch.linalg.eigh(self.cov.cpu())
+        root = (vectors * values.clamp(min=0).sqrt()[..., None, :]).to(self.cov)
         white = normal((count, *self.mean.shape), self.mean, generator)
         return self.mean + (root @ white[..., None])[..., 0]
 

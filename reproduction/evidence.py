@@ -7,8 +7,8 @@ Example:
 prints which results are of other sources (a hash of the package's code, see ``sources`` in each
 summary) and runs the commands that make them, on all cores. What was learned with the present
 sources is not learned again, and what was stopped goes on, so a second call does nothing. A command
-that fails is named in the end, and stops no other. ``--list`` runs none. What compares a GPU is made
-only where there is one.
+that fails is named in the end, and stops no other. ``--list`` runs none. Times of a
+GPU are taken only where there is one.
 """
 
 from __future__ import annotations

@@ -225,9 +225,9 @@ class _PDControl(_Stepwise):
 class CautiousMotion:
     """A motion whose amplitude depends on how near the robot is to the limits of a box.
 
-    Each rollout begins with a sixteenth of the amplitude. It grows by a quarter with each step at
-    which three quarters of all margins of the start are left, and is halved at all others. This is
-    not a guarantee: the box's guard stops a rollout that leaves nevertheless.
+    Each rollout begins with a sixteenth of the amplitude. It grows by a quarter at each step where
+    every margin is at least three quarters of that at the start, and is halved at all others. This
+    is not a guarantee: the box's guard stops a rollout that leaves nevertheless.
 
     Args:
         motion: the motion, whose amplitude is set.

@@ -14,7 +14,8 @@ from torch_pmil.checks import check_positive, check_tensor, check_whole
 
 # weight of the trapezoidal rule over that of the data: it counts where nothing moves
 RULE_RIDGE = 1e-6
-# share of the way by its speeds that a joint may be off, and of the transitions that must not be
+# share of a joint's travel by which it may be off the rule, and the least share of transitions that
+# keep within it, for the others to be left out
 OFF, MOST = 0.1, 1 / 3
 HASTY = 2.0  # change of speed, in the mean one, from which a transition counts less
 

@@ -94,7 +94,7 @@ def _change(
     """Changes (N, D) of states (N, D) after which they show samples (N, M); see :func:`_sizes`.
 
     By the method of Levenberg and Marquardt, for all trajectories at once. The unknown is the
-    change in its size, which begins at zero: steps of the search are relative.
+    change divided by its size, beginning at zero, so that steps of the search are relative.
     """
     change, each = torch.zeros_like(before), torch.eye(before.shape[-1], dtype=torch.float64)
     damping = torch.full((len(before), 1, 1), DAMPING, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Tensors in files of strangers: nothing is executed, and memory is bounded by the file's size.
+"""Tensors from untrusted files: nothing is executed, and memory is bounded by the file's size.
 
 :func:`load_tensors` reads the files of ``torch.save``, :func:`load_archive` the checkpoints of
 TorchRL, which would itself load classes that read a pickle. In an archive ``manifest.json`` holds

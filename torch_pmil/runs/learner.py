@@ -54,8 +54,8 @@ class Learner:
 
         Raises:
             RunStopped, RobotError: the operator ended the run, or the robot cannot be reached;
-                ``learn(resume=True)`` continues. A run that begins with another one's experience
-                continues so from its first rollout on; before, make the same call again.
+                ``learn(resume=True)`` continues. A run that begins with another run's experience
+                can be continued that way after its first rollout; until then, repeat the same call.
             OSError: the folder cannot be written to.
             TypeError, ValueError: an argument is of another kind or out of range, or the folder
                 holds another run.

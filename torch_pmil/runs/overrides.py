@@ -20,8 +20,8 @@ OF_LAUNCHER = re.compile(r"hydra\.launcher\.(?!.*_target_)[\w.]+")
 def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
     """Raise SettingsError unless all NAME=VALUE of a command line change a known setting.
 
-    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set. In a
-    ``sweep`` a value may be several, for a run each.
+    Of Hydra's own settings, only ``hydra/launcher=NAME`` and a launcher's numbers and names can be
+    set. In a ``sweep`` a setting may have several values, one for each run.
 
     Example:
         >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)

@@ -1,4 +1,4 @@
-"""The list of a run's own files, which alone it replaces and removes."""
+"""The list of a run's own files, the only ones that it replaces and removes."""
 
 from __future__ import annotations
 
@@ -94,9 +94,9 @@ def check_free(out: Path) -> None:
 
 
 def remove_files(out: Path) -> None:
-    """Remove the listed files, and the folders that are empty then; :func:`check_free` was called.
+    """Remove the listed files, then empty folders; :func:`check_free` must have been called.
 
-    What says that the run has ended goes last.
+    ``summary.json``, which shows that the run has ended, is removed last.
     """
     names = files_of(out)
     for name in sorted(names, key=lambda name: (name == "summary.json", name)):
@@ -113,7 +113,7 @@ def _foreign(path: Path) -> ForeignFileError:
 
 
 def _found(out: Path) -> set[str]:
-    """What is there of the names that a run writes."""
+    """The existing files whose names a run may write."""
     paths = [path for name in FILES if os.path.lexists(path := out / name)]
     paths += [path for folder in FOLDERS for path in (out / folder).rglob("*")]
     names = {path.relative_to(out).as_posix() for path in paths}

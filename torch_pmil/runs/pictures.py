@@ -75,10 +75,7 @@ def film_or_picture(task: Task, result: RunResult, out: Path) -> None:
 
 
 def timely(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """Pictures, as long as all of them together take less than ``FILM_SECONDS``.
-
-    Raises TooSlowError then.
-    """
+    """Yield the pictures, and raise TooSlowError once they take more than ``FILM_SECONDS``."""
     spent = 0.0
     for number in itertools.count(1):
         begun = time.process_time()

@@ -22,8 +22,8 @@ class PMIL(Learner):
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.tasks.own_robot.own_robot` takes: ``state``,
             the names of the observation's entries, ``angles``, ``match``, every field of
-            :class:`Task` and every setting of its :class:`~torch_pmil.tasks.method.Method`. With
-            a ``cost`` the robot improves by it what it imitates, see ``docs/how_to/pilco.md``.
+            :class:`Task` and every setting of its :class:`~torch_pmil.tasks.method.Method`. With a
+            ``cost``, the robot improves on its imitation, see ``docs/how_to/pilco.md``.
 
     ``task`` holds robot, demonstrations and settings. After :meth:`learn` it is the task as the run
     sampled it, ``result`` is the finished run, and ``policy`` a function from the robot's state to

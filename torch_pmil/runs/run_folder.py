@@ -52,7 +52,7 @@ class UnfinishedRunError(ValueError):
 
 
 def write_origin(out: Path, source: dict[str, object]) -> None:
-    """Write ``run.json``: command, date, commit and versions, from the run's first second on."""
+    """Write ``run.json``: command, date, commit and versions, before the first trial."""
     write_json(own(out, "run.json"), source)
 
 

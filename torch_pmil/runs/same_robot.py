@@ -1,4 +1,4 @@
-"""Whether the robot of a run that is continued moves as the one with which the run began."""
+"""Whether the robot of a resumed run still moves as it did when the run began."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ ROUNDING = 1e-6  # by which the motions of one robot may differ on two processor
 
 
 def motion_of(task: Task) -> list[float] | None:
-    """The observations of a short seeded motion of the robot, by which a change of it shows.
+    """The observations of a short seeded motion, which show whether the robot has changed.
 
     None for a robot that is not measured from fresh starts, such as a physical one, which is not
-    moved, and for one that moves in another way each time.
+    moved. None too for a robot that moves differently each time.
     """
     if not task.evaluated:
         return None

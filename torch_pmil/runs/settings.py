@@ -188,7 +188,7 @@ def word_of(name: str, value: object) -> str:
 
 
 def with_file(words: Sequence[str]) -> list[str]:
-    """A command line with the settings of a file that it does not give in place of settings=FILE.
+    """A command line in which those settings of a file that it lacks replace settings=FILE.
 
     Raises:
         SettingsError: a file is named twice, or does not hold settings.

@@ -1,4 +1,4 @@
-"""By which sources a result was made: a hash that docstrings and lines of comments leave alone.
+"""A hash of the sources that made a result; docstrings and comment lines do not change it.
 
 Commands and figures, which show what was learned, do not count either.
 """

@@ -69,7 +69,7 @@ def rate_of(trial: Mapping) -> float:
 def find_runs(folders: Sequence[Path]) -> list[Path]:
     """Folders of runs: those given, and the runs directly below those given.
 
-    A run has ``metrics.csv`` from its first second on.
+    A run has ``metrics.csv`` before its first trial.
 
     Raises:
         RunError: a folder is missing, or is not a run and holds none.

@@ -53,16 +53,16 @@ class ExpectedCost(TrajectoryLoss):
         return self.spread(initial, horizon)
 
     def trusts_start(self, initial: Gaussian, threshold: float) -> bool:
-        """Whether the start is as sure as a step that is trusted.
+        """Whether the spread of the start is within the threshold up to which a step is trusted.
 
-        A cost says nothing of a prediction that is wide from the first step on, such as that of a
-        pendulum which begins at any angle.
+        The expected cost of a prediction that is wide from the first step on guides no search, as
+        for a pendulum that begins at any angle.
         """
         return self._spread_of(self.begin(initial)[0]).amax().item() <= threshold
 
     def typical_cost(self, states: Tensor) -> Tensor:
-        r"""Cost that one state may change, by trajectories x_0..x_T, (N, \*batch, T + 1, D).
+        r"""Cost that one state can affect, from trajectories x_0..x_T, (N, \*batch, T + 1, D).
 
-        That of a whole motion: the way to the goal pays only once the robot has arrived.
+        Here the cost of a whole motion: moving towards the goal pays off only on arrival.
         """
         return self.horizon * super().typical_cost(states)

@@ -93,11 +93,11 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         return super().has_moments and not (improving and not self.cost.has_moments)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """What counts now of each predicted marginal, (*batch, horizon)."""
+        """KL of each predicted marginal, with the cost once improving, (*batch, horizon)."""
         return self._with_cost("per_step", super().per_step(initial, horizon), initial, horizon)
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """What counts now of each step for the model's mean alone, (*batch, horizon)."""
+        """As :meth:`per_step`, for the model's mean alone, (*batch, horizon)."""
         imitation = super().mean_per_step(initial, horizon)
         return self._with_cost("mean_per_step", imitation, initial, horizon)
 
@@ -107,7 +107,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         return self._with_cost("cross_entropy_per_step", imitation, initial, horizon)
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each step for each observed entry, then :meth:`TrajectoryLoss.spread`."""
+        """KL of each step per observed entry; once improving, :meth:`TrajectoryLoss.spread`."""
         if self.improving:
             return self.spread(initial, horizon)
         return super().step_loss_for_trust(initial, horizon)
@@ -144,7 +144,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
 
     @contextmanager
     def penalised(self, penalty: Penalty) -> Iterator[None]:
-        """As in the base class; the penalty has no weight beside the cost."""
+        """As in the base class; beside a cost, the penalty is added without a weight."""
         with self.cost.penalised(penalty) if self.improving else super().penalised(penalty):
             yield
 
@@ -157,7 +157,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
     def _with_cost(
         self, name: str, imitation: Tensor, initial: Gaussian, horizon: int | None
     ) -> Tensor:
-        """What one of the methods gives for the KL, with the cost if it counts."""
+        """The result of a method for the KL or, once improving, the cost plus the weighted KL."""
         if not self.improving:
             return imitation
         cost = getattr(self.cost, BESIDE[name])(initial, horizon)

@@ -294,7 +294,7 @@ def refit_policy(
 def evaluate_steps(
     of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
 ) -> Tensor:
-    """Loss of each step, (horizon,), infinite from the first one on whose prediction fails."""
+    """Loss of each step, (horizon,), infinite from the first step whose prediction fails."""
     try:
         return of_steps(initial, horizon)
     except PredictionError as error:
@@ -307,7 +307,10 @@ def evaluate_steps(
 def step_loss_of(
     loss: TrajectoryLoss, initial: Gaussian, settings: SearchSettings, horizon: int | None = None
 ) -> Tensor:
-    """By what each step is trusted, as in :func:`evaluate_steps`, of all steps if None."""
+    """Doubt about each step, (horizon,), which a search compares with its trust threshold.
+
+    It is evaluated as in :func:`evaluate_steps`; a horizon of None stands for all steps.
+    """
     doubt = loss.spread if settings.trust_what_is_sure else loss.step_loss_for_trust
     return evaluate_steps(doubt, initial, horizon or loss.horizon)
 

@@ -76,10 +76,10 @@ def search_on_samples(
 
 @torch.no_grad()
 def _units(loss: TrajectoryLoss, initial: Gaussian, generator: torch.Generator) -> Tensor:
-    """Units in which the gradient of a particle is bounded: the spread of all states, (D,).
+    """Units (D,) in which the gradient of a particle is bounded, from the spread of all states.
 
-    When one state moves by as much, a cost that is a mean over particles changes by 1 / N of the
-    typical cost of a step at most.
+    If one state moves by that spread, the mean cost over N particles changes by at most 1 / N of
+    :meth:`TrajectoryLoss.typical_cost`.
     """
     states = _rollouts(loss, initial, PARTICLES, generator)
     spread = states[..., 0, 0].numel() * states.flatten(0, -2).std(0)

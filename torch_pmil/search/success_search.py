@@ -1,4 +1,4 @@
-"""The search that goes on until the predicted success is the promised one."""
+"""The search that continues until the predicted success rate reaches the promised one."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def search_for_success(
 
     The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
     it gets no worse and is not hopeless. Then others are searched from random policies, and
-    steadied too. The policy with the highest predicted rate is kept, of several alike the one of
+    steadied too. The policy with the highest predicted rate is kept; among equals, the one with the
     least loss.
 
     Args:

@@ -126,7 +126,7 @@ class QuadraticCost(TargetCost):
 
 @dataclass(frozen=True, eq=False)
 class FunctionCost:
-    """A cost by any function of states and actions, whose expectation is that of samples.
+    """A cost given by any function of states and actions; samples estimate its expectation.
 
     Args:
         function: as in :class:`~torch_pmil.search.sampled_cost.ExpectedSampledCost`.

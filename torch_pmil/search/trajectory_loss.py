@@ -194,15 +194,15 @@ class TrajectoryLoss(LossModule):
     def spread(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """How unsure each predicted marginal is, (*batch, horizon).
 
-        It is the predicted variance in that of the model's data, both in the match space, in the
-        mean over its entries: a number without unit, whatever the task measures.
+        It is the ratio of the predicted variance to the variance of the model's data, both in the
+        match space, averaged over its entries. It has no unit, whatever the task measures.
         """
         return self._spread_of(self.predict_states(initial, horizon))
 
     def trusts_start(self, initial: Gaussian, threshold: float) -> bool:
-        """Whether moments are worth predicting from a start, given what is trusted of a step.
+        """Whether moments are worth predicting from a start, at a search's trust threshold.
 
-        Here always: what is demonstrated may be as wide as the start.
+        Always true here, since the demonstrations may be as wide as the start.
         """
         return True
 
@@ -222,9 +222,10 @@ class TrajectoryLoss(LossModule):
         return self._mean_costs(self.space.observe(states[..., 1:, :]))
 
     def typical_cost(self, states: Tensor) -> Tensor:
-        r"""Cost that one state may change, by trajectories x_0..x_T, (N, \*batch, T + 1, D).
+        r"""Cost that one state can affect, from trajectories x_0..x_T, (N, \*batch, T + 1, D).
 
-        That of a step: where each step is demonstrated, a state need not care for those after it.
+        Here the cost of one step: each step has its own demonstration, so a state matters little to
+        the costs of later steps.
         """
         costs = self.sample_costs(states).abs()
         return costs.mean().clamp(min=torch.finfo(costs.dtype).tiny)
@@ -232,10 +233,10 @@ class TrajectoryLoss(LossModule):
     def objective(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Objective | None:
-        """The sum of one of its methods as kernels compute it, without a graph.
+        """The sum over the steps of one of this loss's methods, by kernels and without a graph.
 
-        None if they do not: of a loss with a prediction or a comparison of its own, for several
-        start beliefs, or with a penalty.
+        None if kernels cannot compute it, such as for several start beliefs, for a loss with its
+        own prediction or comparison, or for :meth:`per_step` with a penalty.
         """
         method, of_class = getattr(per_step, "__func__", None), type(self)
         plain = (
@@ -264,9 +265,10 @@ class TrajectoryLoss(LossModule):
 
     @contextmanager
     def penalised(self, penalty: Penalty) -> Iterator[None]:
-        """Within, :meth:`per_step` adds a penalty to the cost of each step.
+        """Context in which :meth:`per_step` adds a penalty to the cost of each step.
 
-        It maps the predicted states, mean (*batch, T, D), to (*batch, T) in the unit of the loss.
+        The penalty maps the predicted states, mean (*batch, T, D), to (*batch, T), in the unit of
+        the loss.
         """
         self._penalty = penalty
         try:

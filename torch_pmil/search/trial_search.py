@@ -63,11 +63,13 @@ class TrialSearch:
     predicted to fail from nearly all starts. Such a policy may be at its limits all the time, where
     gradients vanish. The loss is searched from there only if success is then predicted from half
     the starts: until then the trajectories part, and their moments say little. The second policy
-    is kept if it keeps the promise, else the one of less expected cost. Where policy, model or cost
-    has no moments in closed form, or a cost counts from a start that is wider than what is trusted,
-    the search on samples is the whole search. It goes on from a random policy if it led to nothing
-    better than before. The search of a cost by moments ends on samples instead of a search for
-    success. The best of these policies is kept (:class:`SampleSearches`).
+    is kept if it keeps the promise, else the one of less expected cost.
+
+    The search on samples is the whole search if policy, model or cost has no moments in closed
+    form, or if the loss is a cost and the start is wider than what is trusted. It is repeated from
+    a random policy if it brought neither a promising success rate nor progress. A search of a cost
+    by moments is followed by a search on samples, in place of the search for success. The best of
+    these policies is kept (:class:`SampleSearches`).
 
     Args:
         settings, report, optimizer: as for :func:`search_policy`.
@@ -139,9 +141,10 @@ class TrialSearch:
         return self.result
 
     def begin_anew(self) -> None:
-        """Compare no coming loss with those before, since another is minimised from now on.
+        """Forget the smallest loss so far, since another objective is minimised from now on.
 
-        The policy stays one that was searched, as it is not while no loss is known.
+        It becomes the largest float and not infinity, which would mark the policy as one that no
+        search has seen.
         """
         self._least = sys.float_info.max
 

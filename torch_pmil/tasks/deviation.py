@@ -17,8 +17,8 @@ from torch_pmil.gp.gaussian import Gaussian
 class Deviation:
     """Root mean square distance from the demonstrated mean, in standard deviations.
 
-    With ``allowed`` it is the largest distance of the named entries, each in root mean square over
-    time and in the largest that is allowed, so that a success has an error of at most 1.
+    With ``allowed``, the root mean square distance of each named entry over time is divided by its
+    largest allowed distance. The error is the largest ratio, so a success has at most 1.
 
     Args:
         demonstrated: marginals at t = 1..T, mean (T, M) in the match space.
@@ -55,5 +55,5 @@ class Deviation:
         return (distances / distances.new_tensor(list(self.allowed.values()))).amax(-1)
 
     def every(self, periods: int) -> Self:
-        """That of every so many steps."""
+        """The deviation at every ``periods``-th step alone."""
         return replace(self, demonstrated=self.demonstrated[periods - 1 :: periods])

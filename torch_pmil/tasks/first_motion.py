@@ -21,16 +21,16 @@ from torch_pmil.tasks.with_history import Resting
 
 SPAN = 4  # over which models predict, in longest steps
 FEWEST_SPANS = 4  # of a motion by which samplings are judged
-# what models that count as alike may lose: a share of the least, and nats for each observed entry,
-# those of an error of half the observation noise
+# models count as alike if they lose at most this multiple of the least loss, plus these nats for
+# each observed entry, which an error of half the observation noise costs
 ALIKE, SMALL = 1.25, 0.125
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion is
 # too short to compare samplings: likelihoods of a falling pole seem to show a past that matters,
 # and the shortest step gives the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
-# a state is far if it is more than the range of what was demonstrated beyond it, and a motion ran
-# away if more than this share of it is far; by a share of the actions the robot is moved again
+# a state is far if it is outside the demonstrated range by more than that range; a motion ran away
+# if more than this share of it is far. The robot then moves again, by this share of the actions
 FAR, NEARLY_ALL, GENTLER = 1.0, 0.75, 0.5
 
 
@@ -103,8 +103,8 @@ class Choice:
 
     Args:
         sampling: the choice.
-        lost: nats that a model of each sampling loses for each entry, by the sampling in words.
-        gained: nats by which the past explains the motion better, by what of it in words.
+        lost: nats that a model of each sampling loses for each entry; the keys are the samplings.
+        gained: nats by which a part of the past explains the motion better; the keys name the part.
     """
 
     sampling: Sampling

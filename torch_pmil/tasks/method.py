@@ -27,9 +27,10 @@ OF_FEATURES: dict[str, Any] = {
 class PolicySettings(Settings):
     """A new policy: Gaussian basis functions at demonstrated states.
 
-    A policy is zero beyond the reach of its functions, so starts at the rim of what was
-    demonstrated may need an ``input_scale`` above 1. ``least_widths`` is how far a robot strays
-    that moves slowly or in part; None for the standard deviations of the start.
+    A policy is zero beyond the reach of its functions, so starts at the edge of what was
+    demonstrated may need an ``input_scale`` above 1. ``least_widths`` are for demonstrations that
+    are slow or move only a part of the robot: they say how far the robot strays from them. None
+    stands for the standard deviations of the start.
     """
 
     num_centres: int = setting(

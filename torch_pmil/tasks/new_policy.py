@@ -51,7 +51,7 @@ def new_policy(
 
 
 def name_of(make: MakePolicy, actions: ActionSpace, inputs: int) -> str:
-    """What a policy of so many inputs is, that is no RBF network, as a run's settings hold it."""
+    """How a run's settings name a policy with ``inputs`` inputs that is not an RBF network."""
     if make is LinearPolicy:
         return LinearPolicy.__name__
     ones = torch.ones(inputs, dtype=torch.float64)

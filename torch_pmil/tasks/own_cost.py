@@ -62,8 +62,8 @@ def own_cost(
         state: names of the entries of the observation; those of a MujocoRobot are known.
         match: the match space whose entries the target names. The name of a site of a MuJoCo
             robot stands for its place x, y, z. None if the target names entries of the state.
-        success: of states x_0..x_T, (N, T + 1, D), whether each motion is a success, bool, (N,), in
-            place of the target's. A cost function needs one.
+        success: function from states x_0..x_T, (N, T + 1, D), to whether each motion is a success,
+            bool, (N,). By default the target decides; a cost that is a function needs this one.
         settings: fields of :class:`CostTask` and settings of its method.
 
     Raises:

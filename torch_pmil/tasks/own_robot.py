@@ -312,7 +312,7 @@ def _space(
 def observed_entries(
     observed: Sequence[str], angles: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Names of the state's entries, of which a cosine and a sine are one, and which are angles."""
+    """Names of the state's entries, a cosine and sine counted as one, and indices of the angles."""
     names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
     turned = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
     if unknown := sorted(turned - set(names)):

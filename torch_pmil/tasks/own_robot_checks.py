@@ -45,7 +45,7 @@ def check_said(
     match: object,
     **settings: object,
 ) -> None:
-    """Check the arguments of a function that makes the task, of a kind, of one's own robot.
+    """Check the arguments of a function that makes a task of this kind for one's own robot.
 
     Raises:
         TypeError, ValueError: one is of another kind, or a setting is unknown.

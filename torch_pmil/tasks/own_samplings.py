@@ -20,7 +20,7 @@ PASTS = ((0, 0), *((0, periods) for periods in range(1, FARTHEST + 1)), (1, 1))
 
 
 def samplings_of(task: Task, given: Sampling, step: object, past: object) -> tuple[Sampling, ...]:
-    """Samplings of a task, that of a robot for which nothing is chosen first.
+    """Samplings of a task; the first is used for a robot for which a run chooses nothing.
 
     Args:
         task: of the robot at its own rate.

@@ -55,7 +55,7 @@ def starts_of(
 
 
 def start_around(mean: Tensor, std: Tensor) -> Gaussian:
-    """p(x_0) of independent entries, (D,) each, of which those that never differ hardly do."""
+    """p(x_0) of independent entries, (D,) each; one that never varies gets a tiny deviation."""
     return independent_start(mean, torch.where(std > 0, std, UNMOVED))
 
 

@@ -40,9 +40,8 @@ def rehearse(task: Task) -> None:
     robot that is not measured from fresh starts, such as a physical one, is not moved.
 
     Raises:
-        ValueError: the robot resets itself, changes from reset to reset, holds each action for
-            another time than the control period, or an entry dNAME is another one than the velocity
-            of NAME.
+        ValueError: the robot resets itself, changes from reset to reset, or holds each action for a
+            time other than the control period; or an entry dNAME is not the velocity of NAME.
     """
     robot: Any = task.make_env
     while isinstance(robot, partial):  # of the environments that hold actions or the past
@@ -84,7 +83,7 @@ def _rehearse(task: Task, robot: OneRobot | MujocoRobot) -> None:
 
 
 def _do_nothing(task: Task, actions: Tensor, states: Tensor) -> bool:
-    """Whether the robot moves along the same states (T + 1, D) by no actions as by these."""
+    """Whether the robot moves along these states (T + 1, D) with idle actions as well."""
     idle, history = _tried(task, task.actions.middle.expand_as(actions)), task.history
     measured = task.space.dim if history is None else len(history.names)
     return _alike(states[:, :measured], idle[:, :measured])
@@ -151,7 +150,7 @@ def check_velocities(
 
 
 def _sums(states: Tensor, period: float) -> Tensor:
-    """Changes (T, D) in each step of what the entries of states (T + 1, D) are velocities of."""
+    """Entries of states (T + 1, D), taken as velocities and integrated over each step, (T, D)."""
     return period * (states[:-1] + states[1:]) / 2
 
 
@@ -182,7 +181,7 @@ def _ranges(task: Task, tried: Tensor) -> tuple[dict, dict, dict, float]:
 
 
 def _reach(task: Task) -> float:
-    """Of the actions, in halves of their range; no larger than in the first motion."""
+    """Reach of the actions, in halves of their range, no larger than in the first motion."""
     return min(REACH, getattr(task.method.exploration, "random_action", REACH))
 
 

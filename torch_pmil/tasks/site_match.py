@@ -1,4 +1,4 @@
-"""What is compared of a robot by a point of it: where a site of its MuJoCo model is, and how."""
+"""The match space of a point of a robot: position and orientation of a site of its MuJoCo model."""
 
 from __future__ import annotations
 

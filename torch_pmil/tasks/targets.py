@@ -59,7 +59,7 @@ class TargetTask(Task):
 
     @property
     def promised(self) -> None:
-        """None: no success is predicted of several targets, whose confirmations end a run."""
+        """None: success is not predicted for several targets, so confirmations alone end a run."""
 
     @cached_property
     def targets(self) -> Tensor:

@@ -92,8 +92,8 @@ class Task(Settings):
             the report then shows the strokes.
         draws: whether the environment gives pictures, for the video.
         held: control periods of the robot for which an action is held.
-        samplings: among which a run chooses by its first motion; the first is that of a robot for
-            which nothing is chosen. Empty if the task is sampled already.
+        samplings: among which a run chooses by its first motion; the first is used if nothing is
+            chosen. Empty if the task is sampled already.
 
     Raises:
         DemonstrationError: the demonstrations are too short.

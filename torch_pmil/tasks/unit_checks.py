@@ -48,8 +48,8 @@ def check_units(
     beyond its limits, unless these are a turn.
 
     Raises:
-        DemonstrationError: an entry goes far beyond its limits, or is a known multiple of the
-            change of another one, whose velocity its name says that it is.
+        DemonstrationError: an entry goes far beyond its limits, or an entry dNAME is a known
+            multiple of the rate at which NAME changes.
 
     Example:
         >>> shown = 57.3 * torch.linspace(0, 1, 21).expand(3, 21)[..., None]

@@ -94,7 +94,7 @@ def rotation_in(folder: Path | str, metadata: Mapping[str, object] | None = None
 
 
 def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
-    """All archives of a rotation, the newest first, damaged ones too; copies by other names not."""
+    """All archives of a rotation, newest first, even damaged ones, but no copies by other names."""
     numbered = f"{rotation.prefix}-{12 * '[0-9]'}.torchrl"
     return sorted(rotation.directory.glob(numbered), reverse=True)
 

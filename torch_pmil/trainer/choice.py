@@ -36,9 +36,9 @@ def best_candidate(
     the smallest error of the own rollout, where all successes count the same. Next come the longest
     own rollout and the smallest predicted loss.
 
-    If the loss is improving, all policies are alike that keep the promised rate both by what is
-    known and as the model predicts. The last is then the smallest expected cost, by trajectories
-    that each follow one function of the model.
+    If the loss is improving, all policies that keep the promised rate, both as known and as
+    predicted, count as equal. The last criterion is then the smallest expected cost, estimated from
+    trajectories that each follow one function of the model.
 
     Args:
         candidates: one at least.
@@ -70,7 +70,7 @@ def best_candidate(
 
 
 def is_settled(candidates: Sequence[Candidate], loss: ImprovingKLLoss, initial: Gaussian) -> bool:
-    """Whether the newest policy, which the loss then holds, costs hardly less than that before.
+    """Whether the newest policy costs hardly less than the one before; the loss then holds it.
 
     Args:
         candidates: two at least.

@@ -76,9 +76,10 @@ class Ending:
         return next((n for n in counts if self.reason(trials[:n]) not in ("", LIMIT)), 0)
 
     def improved(self, trials: Sequence[Trial]) -> str:
-        """Why a run ends that has improved what it imitated, by its trials since then, or "".
+        """Why a run that improves its imitation ends, given the trials since then; else "".
 
-        Only a policy that keeps the promise will do: one that imitates is there already.
+        Three successes in a row do not end it, since the imitation succeeded already. The promise,
+        if there is one, must be kept.
         """
         own = trials[self.imitated(trials) :]
         return self._kept(own) or (LIMIT if len(trials) >= self.trials else "")
@@ -86,8 +87,8 @@ class Ending:
     def _twice(self, trials: Sequence[Trial]) -> bool:
         """Whether two trials in a row succeeded whose models predict the promised rate itself.
 
-        The second success shows what half of the failures are reserved for: that the model does not
-        know much that matters.
+        Half of the permitted failures are reserved for what the model does not know. The second
+        success shows that this is little.
         """
         assert self.promise is not None
         rates = [trial.promised_success_rate or 0.0 for trial in trials[-2:]]
@@ -96,16 +97,17 @@ class Ending:
     def _measured(self, trials: Sequence[Trial]) -> bool:
         """Whether the measurements from fresh starts, if there are any, confirm the promise.
 
-        One of 20 starts often is better than its policy, and each trial gives another chance.
+        A rate measured from 20 starts is often higher than the true rate of its policy, and each
+        trial gives another chance of that.
         """
         assert self.promise is not None
         rates = [trial.success_rate for trial in trials if trial.success_rate is not None]
         return not rates or fmean(rates) > self.promise.rate - 1e-9  # a mean is rounded
 
     def unmet(self, trials: Sequence[Trial]) -> str:
-        """What a run lacked that ended at its limit though own rollouts succeeded; "" for others.
+        """What kept a run from ending before its limit although own rollouts succeeded; else "".
 
-        A lower promise that would have ended it sooner is named, if there is one.
+        It names a lower promise that would have ended the run sooner, if there is one.
         """
         succeeded = sum(trial.own_success for trial in trials)
         if not succeeded or self.reason(trials) != LIMIT or self.imitated(trials):
@@ -129,7 +131,7 @@ class Ending:
 
 
 def _succeeded(trials: Sequence[Trial], count: int) -> bool:
-    """Whether so many of the last own rollouts succeeded, one after the other."""
+    """Whether the last ``count`` own rollouts all succeeded."""
     last = trials[-count:]
     return len(last) == count and all(trial.own_success for trial in last)
 

@@ -47,12 +47,13 @@ class PMILTrainer(Trainer):
     """Probabilistic model-based imitation learning (Algorithm 1).
 
     A batch is a rollout. The first ones are the robot's exploration. After the last of them, and
-    after each later one, the model is fitted to all experience, the policy is searched on it, and
-    the policy may be measured from fresh starts, which is no experience. It decides which policy is
-    best, and whether three own successes in a row end the training. The next batch is that policy's
-    rollout on the robot. Training ends as :class:`Ending` says; :meth:`best_policy` then chooses
-    among the policies that ran. Under an :class:`ImprovingKLLoss` the robot improves where it would
-    end. It ends by :meth:`Ending.improved`, once its cost hardly falls
+    after each later one, the model is fitted to all experience and the policy is searched on it.
+    The policy may then be measured from fresh starts, from which nothing is learned. The measured
+    rates help to choose the best policy, and to decide whether three own successes in a row end the
+    training. The next batch is the rollout of the searched policy on the robot. Training ends as
+    :class:`Ending` says; :meth:`best_policy` then chooses among the policies that ran. Under an
+    :class:`ImprovingKLLoss` the robot begins to improve where training would otherwise end.
+    Training then ends by :meth:`Ending.improved`, once the cost hardly falls
     (:func:`~torch_pmil.trainer.choice.is_settled`).
 
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a

@@ -19,7 +19,7 @@ class Measurement:
 
     Args:
         trial: 1, 2, ...
-        experience_s: seconds of experience from which was learned.
+        experience_s: seconds of experience that was learned from.
         success_rate: that of ``n_eval`` rollouts from fresh starts, which are no experience; None
             if none were measured, and the own rollout alone is judged.
         n_eval: number of these rollouts.
@@ -46,7 +46,7 @@ class Trial(Measurement):
         promised_success_rate: with a confidence of 95 %, by the model that learned from the own
             rollout; None where that was no success, or nothing can be predicted.
         loss: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
-        horizon: step up to which the search trusted the prediction.
+        horizon: the last horizon that was searched, in steps; it may not have been trusted.
         refitted: whether a second search was made, from a refitted policy.
         gp_seconds, search_seconds: wall time of the model's fit and of the search, s.
         evaluations: number of evaluations of the objective.

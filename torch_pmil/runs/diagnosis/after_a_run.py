@@ -170,7 +170,7 @@ def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What is left to a search by the newest model."""
+    """How far the prediction of the newest model is from what a search should reach."""
 
     task: Task
     loss: TrajectoryLoss
@@ -178,19 +178,19 @@ class _Search:
 
     @cached_property
     def step_loss(self) -> Tensor:
-        """By step, (T,): the KL of an entry, or under a cost how unsure the prediction is."""
+        """For each step, (T,): the KL per observed entry, or the predicted spread under a cost."""
         return self.loss.step_loss_for_trust(self.task.initial)
 
     @property
     def most(self) -> float:
-        """Most of it that is right."""
+        """Largest ``step_loss`` of a step that counts as right."""
         search = self.task.method.search
         by_match = self.named[0] == TrajectoryKLLoss.label
         return MATCHED if by_match and search.trust_what_is_sure else search.trust_threshold
 
     @property
     def named(self) -> tuple[str, str]:
-        """Name and unit of it."""
+        """Name and unit of ``step_loss``."""
         improving = isinstance(self.loss, ImprovingKLLoss) and self.loss.improving
         if isinstance(self.loss, TrajectoryKLLoss) and not improving:
             return TrajectoryKLLoss.label, TrajectoryKLLoss.unit

@@ -210,7 +210,7 @@ def check_jumps(
 
 
 def check_turns(demonstrations: Demonstrations) -> list[Finding]:
-    """Find entries that jump by a turn, as angles do that are recorded within one."""
+    """Find entries that jump by a turn, as angles that are recorded within one turn do."""
     return [Finding("angles that wrap", message) for message in jumps_by_turns(demonstrations)]
 
 
@@ -237,9 +237,9 @@ def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor)
     r"""Find places where the robot cannot be, a little off in all demonstrations alike.
 
     The observation noise of N demonstrations leaves their mean with a standard deviation of
-    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. Another body or another base has shown a mean that is
-    farther from all that the robot can show (by :math:`\chi^2` over all entries and times), and
-    more than the noise somewhere. Arguments as for :func:`check_reach`.
+    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. If the mean is farther than this from what the robot
+    can show (by :math:`\chi^2` over all entries and times), and somewhere by more than the noise,
+    another body or another base has shown it. Arguments as for :func:`check_reach`.
     """
     positions = demonstrations.positions
     off = (positions - shown).mean(0)  # (T + 1, M)

@@ -35,7 +35,9 @@ EVIDENCE = 100.0
 
 
 def saturated_fraction(actions: Tensor, space: ActionSpace) -> Tensor:
-    """Fraction (F,) of steps at which each action (N, T, F) is within 5 % of an end of its range.
+    """Fraction (F,) of steps at which each action (N, T, F) is near an end of its range.
+
+    Near means at a distance of at most 5 % of half the range.
 
     Example:
         >>> import torch
@@ -66,7 +68,7 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
 
 
 def first_mismatch(step_loss: Tensor, most: float) -> int | None:
-    """First step t whose loss is above what is right, if some step is far above.
+    """First step t whose loss is above ``most``, if the loss of any step is far above it.
 
     Losses of the steps t = 1..T are (T,), in the unit of ``most``.
 

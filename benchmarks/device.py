@@ -31,7 +31,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), metavar="N")
     add_json(parser, "device")
     arguments = parser.parse_args()
     if not torch.cuda.is_available():
@@ -39,7 +38,7 @@ def main() -> None:
     source, rows = source_of("device"), dict[str, dict[str, float]]()
     torch.set_num_threads(1)
     gpu = torch.cuda.get_device_name()
-    for n in arguments.sizes:
+    for n in SIZES:
         for device in ("cpu", "cuda"):
             rows[f"{device}_n{n}"] = row = times(n, device)
             print(f"n = {n} on {device}:", row, flush=True)

@@ -113,14 +113,13 @@ def of_outcome(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> dict
 def main() -> None:
     """Measure, write, print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--runs", type=Path, default=root_of_runs(), help="folder of the runs")
     add_json(parser, "diagnosis")
     arguments = parser.parse_args()
     source = source_of("diagnosis")
     torch.set_num_threads(1)
-    known, runs, left_out = known_experiments(), [], 0
-    for path in sorted(arguments.runs.rglob("summary.json")):
-        if "quick" in path.relative_to(arguments.runs).parts:
+    root, known, runs, left_out = root_of_runs(), known_experiments(), [], 0
+    for path in sorted(root.rglob("summary.json")):
+        if "quick" in path.relative_to(root).parts:
             continue
         try:
             experiment = experiment_of(read_summary(path.parent)["experiment"], known)

@@ -7,7 +7,7 @@ velocities alone, from which the positions follow, and one whose velocities have
 lengthscales too. The fastest of several evaluations of each counts.
 
 Example:
-    python -m benchmarks.dimensions --dimensions 4 12 --n 400
+    python -m benchmarks.dimensions
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.model.forward_model import Targets
 
 SEED = 0
+DIMENSIONS = (4, 6, 8, 12, 14)  # D, even
+N, HORIZON = 400, 25  # transitions that the model knows, and T
+REPEATS = 7  # evaluations of each model
 TIME_STEP = 0.05  # s
 CENTRES = 100
 LENGTHSCALE, NOISE = 4.0, 0.1  # in spreads of the inputs; noise over signal, standard deviations
@@ -36,32 +39,23 @@ MODELS = ("all entries", "velocities alone", "velocities alone, tied")
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument(
-        "--dimensions", nargs="+", type=int, default=[4, 6, 8, 12, 14], help="even numbers D"
-    )
-    parser.add_argument("--n", type=int, default=400, help="transitions that the model knows")
-    parser.add_argument("--horizon", type=int, default=25, help="T")
-    parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
     add_json(parser, "dimensions")
     arguments = parser.parse_args()
-    if odd := [dim for dim in arguments.dimensions if dim < 2 or dim % 2]:
-        parser.error(f"dimensions must be positive and even, got {odd[0]}")
     torch.set_num_threads(1)
     source = source_of("dimensions")
-    size = {name: getattr(arguments, name) for name in ("n", "horizon", "repeats")}
     rows = []
-    for dim in arguments.dimensions:
-        rows.append({"dim": dim, "actions": dim // 2, **measure(dim, **size)})
+    for dim in DIMENSIONS:
+        rows.append({"dim": dim, "actions": dim // 2, **measure(dim)})
         print(f"D = {dim:<3}", *(f"{name}: {rows[-1][name]:.4f} s " for name in MODELS), flush=True)
     headline = {f"cpu_seconds_D{row['dim']}": row["velocities alone"] for row in rows}
     headline |= {f"cpu_seconds_all_entries_D{row['dim']}": row["all entries"] for row in rows}
     headline |= {f"cpu_seconds_tied_D{row['dim']}": row["velocities alone, tied"] for row in rows}
-    size["centres"] = CENTRES
+    size = {"n": N, "horizon": HORIZON, "repeats": REPEATS, "centres": CENTRES}
     summary = {"experiment": "dimensions", **source, "headline": headline, **size, "rows": rows}
     write_summary(arguments.json, summary)
 
 
-def measure(dim: int, n: int, horizon: int, repeats: int) -> dict[str, float]:
+def measure(dim: int) -> dict[str, float]:
     """Least CPU seconds of a value and its gradient with each of the models."""
     names = tuple(f"{kind}{joint}" for kind in ("q", "dq") for joint in range(dim // 2))
     velocities = {f"q{joint}": f"dq{joint}" for joint in range(dim // 2)}
@@ -71,15 +65,13 @@ def measure(dim: int, n: int, horizon: int, repeats: int) -> dict[str, float]:
         (known, False),
         (known, True),
     )
-    evaluations = [evaluation(names, n, horizon, *model) for model in models]
-    times = [[cpu_seconds(evaluate) for evaluate in evaluations] for _ in range(repeats + 1)]
+    evaluations = [evaluation(names, *model) for model in models]
+    times = [[cpu_seconds(evaluate) for evaluate in evaluations] for _ in range(REPEATS + 1)]
     least = [min(column) for column in zip(*times[1:], strict=True)]
     return dict(zip(MODELS, least, strict=True))
 
 
-def evaluation(
-    names: tuple[str, ...], n: int, horizon: int, targets: Targets, tied: bool
-) -> Callable[[], object]:
+def evaluation(names: tuple[str, ...], targets: Targets, tied: bool) -> Callable[[], object]:
     """The KL of a random policy with its gradient, by a model of random data with these targets."""
     generator, D, F = torch.Generator().manual_seed(SEED), len(names), len(names) // 2
     outputs = D if targets == "difference" else D // 2
@@ -95,12 +87,12 @@ def evaluation(
     dynamics.gp.covar_module.base_kernel.lengthscale = LENGTHSCALE * factors[:, None]
     dynamics.gp.covar_module.outputscale = torch.full((outputs,), TIME_STEP**2)
     dynamics.gp.likelihood.noise = torch.full((outputs, 1), (NOISE * TIME_STEP) ** 2)
-    dynamics.set_data(normal(n, D + F), TIME_STEP * normal(n, outputs))
+    dynamics.set_data(normal(N, D + F), TIME_STEP * normal(N, outputs))
     one = torch.ones(D, dtype=torch.float64)
     policy = RBFPolicy(normal(CENTRES, D), torch.ones(F, dtype=torch.float64), WIDTH * one)
     policy.weights.data.copy_(0.1 * normal(CENTRES, F))
     covariance = DEMONSTRATED_STD**2 * torch.diag(one)
-    demonstrated = Gaussian(0 * one.expand(horizon, D), covariance.expand(horizon, D, D))
+    demonstrated = Gaussian(0 * one.expand(HORIZON, D), covariance.expand(HORIZON, D, D))
     loss = TrajectoryKLLoss(policy, dynamics, space, demonstrated, NOISE_STD)
     start, parameters = Gaussian(0 * one, START_STD**2 * torch.diag(one)), list(policy.parameters())
     return lambda: torch.autograd.grad(loss.per_step(start).sum(), parameters)

@@ -9,7 +9,7 @@ which cost ours some tenths of a nat. Evaluations are of one output's likelihood
 negative log likelihood, without penalties.
 
 Example:
-    python -m benchmarks.gp_fit --sizes 100 200 300 --repeats 7
+    python -m benchmarks.gp_fit --sizes 100 200 300
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from torch_pmil.trainer.collector import RobotActor
 
 ROLLOUT = 25  # transitions
 ITERATIONS = 100
+SEED, REPEATS = 0, 7  # of the rollouts, and fits of each kind
 
 # returns the fitted batch and the number of evaluations
 Fit = Callable[[], tuple[gpytorch.models.ExactGP, int]]
@@ -49,30 +50,15 @@ def main() -> None:
         default=[300],
         help=f"numbers of transitions, more than {ROLLOUT + 1} each",
     )
-    parser.add_argument("--repeats", type=int, default=7, help="fits of each kind")
-    parser.add_argument("--seed", type=int, default=0, help="of the rollouts")
     add_json(parser, "gp_fit")
     arguments = parser.parse_args()
-    if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:
-        parser.error(
-            f"sizes must be more than {ROLLOUT + 1} and repeats at least 1, got {arguments.sizes} "
-            f"and {arguments.repeats}"
-        )
+    if min(arguments.sizes) < ROLLOUT + 2:
+        parser.error(f"sizes must be more than {ROLLOUT + 1}, got {arguments.sizes}")
     torch.set_num_threads(1)
     source = source_of("gp_fit")
-    rows = [
-        row
-        for n in arguments.sizes
-        for row in measure(*experience(n, arguments.seed), arguments.repeats)
-    ]
-    summary = {
-        **source,
-        "seed": arguments.seed,
-        "repeats": arguments.repeats,
-        "headline": headline(rows),
-        "rows": rows,
-    }
-    write_summary(arguments.json, summary)
+    rows = [row for n in arguments.sizes for row in measure(*experience(n, SEED))]
+    settings = {"seed": SEED, "repeats": REPEATS}
+    write_summary(arguments.json, {**source, **settings, "headline": headline(rows), "rows": rows})
     print(table(rows))
 
 
@@ -92,7 +78,7 @@ def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
     return inputs[:n], targets[:n]
 
 
-def measure(inputs: Tensor, targets: Tensor, repeats: int) -> list[dict[str, object]]:
+def measure(inputs: Tensor, targets: Tensor) -> list[dict[str, object]]:
     """A row for each kind of fit.
 
     The kinds take turns, so that what else the machine does meets all of them.
@@ -106,7 +92,7 @@ def measure(inputs: Tensor, targets: Tensor, repeats: int) -> list[dict[str, obj
     }
     seconds: dict[str, list[float]] = {name: [] for name in fits}
     rows: dict[str, dict[str, object]] = {}
-    for repeat in range(repeats + 1):  # the first is not counted
+    for repeat in range(REPEATS + 1):  # the first is not counted
         for name, prepare in fits.items():
             fit = prepare()
             start = time.process_time()

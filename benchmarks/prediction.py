@@ -5,7 +5,7 @@ exponentials alone. ``workloads.py`` and ``measure.py`` define what is measured 
 comes from its own process.
 
 Example:
-    python -m benchmarks.prediction --sizes 50 100 200 400 --threads 1
+    python -m benchmarks.prediction --sizes 50 100 200 400
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
 from torch_pmil.plotting.style import GREEN, style
 
 ROOT = Path(__file__).parents[1]
+THREADS = 1  # of all rows but those of the speed-up
 OURS, FORMULAS, FITTED = "torch_pmil", "torch_pmil_formulas", "torch_pmil_fitted"
 RAW, TORCHRL, FLOOR = "torch_pmil_raw_angles", "torchrl", "exp_floor"
 NOTES = {
@@ -101,9 +102,6 @@ def parse_arguments() -> argparse.Namespace:
         help="more of them, at the largest of --sizes and at the largest n of all",
     )
     parser.add_argument(
-        "--threads", default=1, **whole, help="of all rows but those of the speed-up"
-    )
-    parser.add_argument(
         "--speedup-rounds",
         default=3,
         **whole,
@@ -128,7 +126,6 @@ def check(arguments: argparse.Namespace) -> None:
         "growth_sizes": 2,
         "horizon": 1,
         "growth_horizons": 1,
-        "threads": 1,
         "speedup_rounds": 0,
         "repeats": 1,
     }
@@ -157,7 +154,7 @@ def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     print(f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{heads}")
     rows: list[dict] = []
     for library, n, horizon in plan(arguments, libraries):
-        row = measure(library, n, horizon, arguments.threads, arguments.repeats, left_out)
+        row = measure(library, n, horizon, THREADS, arguments.repeats, left_out)
         if row:
             rows.append(row)
             print(line(row, rows), flush=True)

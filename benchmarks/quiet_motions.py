@@ -8,7 +8,7 @@ mean; a run has learned if 95 % of the saved policy's rollouts from fresh starts
 where they were stopped.
 
 Example:
-    python -m benchmarks.quiet_motions --seeds 0 1 2 3 4
+    python -m benchmarks.quiet_motions --tasks double_pendulum gym_pendulum
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -32,6 +31,7 @@ from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
+SEEDS, TRIALS = range(5), 12
 AMPLITUDE = 0.3  # rad
 STEPS = {"double_pendulum": 25, "gym_pendulum": 25, "biorob": 18}
 SPREAD = (-0.02, -0.01, 0.0, 0.01, 0.02)  # rad, of the demonstrations' moved joint
@@ -62,36 +62,28 @@ def main() -> None:
     """Read the command line, learn, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--tasks", nargs="+", choices=STEPS, default=list(STEPS))
-    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
-    parser.add_argument("--trials", type=int, default=12)
-    parser.add_argument("--runs", type=Path, default=root_of_runs() / "quiet_motions")
     add_json(parser, "quiet_motions")
     arguments = parser.parse_args()
-    if min(*arguments.seeds, arguments.trials - 1) < 0:
-        parser.error("seeds must not be negative, and trials must be at least 1")
     source, rows = source_of("quiet_motions"), []
     command = str(source["command"])
-    for seed in arguments.seeds:
+    for seed in SEEDS:
         for task in arguments.tasks:
-            for motion in arguments.motions:
-                rows.append(row(task, motion, seed, arguments.trials, arguments.runs, command))
+            for motion in MOTIONS:
+                rows.append(row(task, motion, seed, command))
                 print(" ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
     headline = {"runs": len(rows), "learned": sum(each["learned"] for each in rows)}
     write_summary(arguments.json, {**source, "headline": headline, "rows": rows})
     print(f"{headline['learned']} of {headline['runs']} runs learned")
 
 
-def row(
-    task: str, motion: str, seed: int, trials: int, runs: Path, command: str
-) -> dict[str, object]:
+def row(task: str, motion: str, seed: int, command: str) -> dict[str, object]:
     """What a run came to; one that has ended is read, one that was stopped goes on."""
-    out = runs / f"{task}_{motion}" / f"seed_{seed}"
+    out = root_of_runs() / "quiet_motions" / f"{task}_{motion}" / f"seed_{seed}"
     if (out / "summary.json").exists():
         summary = json.loads((out / "summary.json").read_text())
     else:
         experiment = quiet_experiment(task, motion)
-        summary = train(experiment, seed, trials, out, command, False, resume=out.exists()).summary
+        summary = train(experiment, seed, TRIALS, out, command, False, resume=out.exists()).summary
     return {
         "task": task,
         "motion": motion,

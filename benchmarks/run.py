@@ -4,7 +4,7 @@ A part's time is its own: what it spends in another part counts there. Each run 
 new folder of its own. That of the median time counts.
 
 Example:
-    python -m benchmarks.run --experiment double_pendulum --seed 0
+    python -m benchmarks.run --experiment double_pendulum
 """
 
 from __future__ import annotations
@@ -41,27 +41,26 @@ WATCHED = (
     ("torchrl.envs", "EnvBase", "rollout", "rollouts"),
     ("torch_pmil.cli.train", "", "tell_all", "pictures"),
 )
-REPEATS = 3
+SEED, REPEATS = 0, 3
 
 
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--experiment", default="double_pendulum", help="of pmil train")
-    parser.add_argument("--seed", default=0, type=int, help="of pmil train")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument(
         "--json", default=Path("results/benchmarks/run/summary.json"), type=Path, help="to write"
     )
     arguments = parser.parse_args()
     if arguments.alone:
-        print(json.dumps(parts_of(arguments.experiment, arguments.seed)))
+        print(json.dumps(parts_of(arguments.experiment)))
         return
     # not in the process that is measured, whose imports count
     from benchmarks.command_line import row_of_own_process, source_of, write_summary
 
     source = source_of("run")
-    words = ["--alone", "--experiment", arguments.experiment, "--seed", str(arguments.seed)]
+    words = ["--alone", "--experiment", arguments.experiment]
     rows = [row_of_own_process("run", *words) for _ in range(REPEATS)]
     headline = sorted(rows, key=lambda row: row["cpu_seconds_total"])[REPEATS // 2]
     write_summary(
@@ -71,7 +70,7 @@ def main() -> None:
     print("\n".join(f"{name:24s} {value:8.1f}" for name, value in headline.items()))
 
 
-def parts_of(experiment: str, seed: int) -> dict[str, float]:
+def parts_of(experiment: str) -> dict[str, float]:
     """CPU seconds of each part of one run, their sum, and the peak of memory in MB."""
     train = import_module("torch_pmil.cli.train")
     for module, *_ in WATCHED:
@@ -83,7 +82,7 @@ def parts_of(experiment: str, seed: int) -> dict[str, float]:
             timed = clock.timed(part, getattr(holder, name))
             stack.enter_context(mock.patch.object(holder, name, timed))
         stack.enter_context(around_timed(clock))
-        words = [f"experiment={experiment}", f"seed={seed}", f"out={folder}/run"]
+        words = [f"experiment={experiment}", f"seed={SEED}", f"out={folder}/run"]
         stack.enter_context(mock.patch.object(sys, "argv", ["pmil train", *words]))
         train.main()
     clock.enter("rest")

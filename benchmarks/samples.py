@@ -46,6 +46,7 @@ from torch_pmil.trainer.trainer import PMILTrainer
 SIZES = (100, 200, 400, 1000, 5000)
 LARGEST_OF_MOMENTS = 1000  # beyond, a model's posterior is sparse
 FUNCTIONS, REPEATED, STARTS, TRIALS = 100, 20, 100, 8
+TASKS, SEEDS = ("double_pendulum", "cart_pole"), range(5)
 PREDICTORS = {"samples": "functions of the posterior", "steps": "drawn anew at each step"}
 
 
@@ -54,19 +55,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), metavar="N")
-    parser.add_argument("--tasks", nargs="+", default=["double_pendulum", "cart_pole"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     add_json(parser, "samples")
     arguments = parser.parse_args()
     source = source_of("samples")
     torch.set_num_threads(1)
-    speeds = [speed(n) for n in arguments.sizes]
+    speeds = [speed(n) for n in SIZES]
     for row in speeds:
         print(", ".join(f"{name} {value:g}" for name, value in row.items()), flush=True)
-    policies = [
-        row for name in arguments.tasks for seed in arguments.seeds for row in run(name, seed)
-    ]
+    policies = [row for name in TASKS for seed in SEEDS for row in run(name, seed)]
     headline = {f"cpu_ms_n{row['n']}": row["functions_ms"] for row in speeds}
     for name in ("coverage_samples", "coverage_moments", "brier_samples", "brier_steps"):
         known = [row[name] for row in policies if row[name] is not None]

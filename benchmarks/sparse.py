@@ -39,6 +39,7 @@ from torch_pmil.tasks.task import Task
 FEW, SOME, MANY, TESTED = 200, 1000, 5000, 3000  # transitions
 NOISES = (0.03, 0.0)  # of what the model is to say, in its standard deviations
 RANDOM_TORQUE = 0.3  # of half the range
+REPEATS = 7  # evaluations of each model
 LEARNED = "runs/learned/double_pendulum/policy.pt"
 
 
@@ -114,17 +115,14 @@ ROBOTS = {"ur5e": ur5e, "double_pendulum": double_pendulum}
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
-    parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
     add_json(parser, "sparse")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     source = source_of("sparse")
     rows = []
-    for robot in arguments.robots:
+    for robot, make in ROBOTS.items():
         for noise in NOISES:
-            row = measure(ROBOTS[robot](), noise, arguments.repeats)
-            rows.append({"robot": robot, "noise": noise, **row})
+            rows.append({"robot": robot, "noise": noise, **measure(make(), noise)})
             print(", ".join(f"{name} {_short(value)}" for name, value in rows[-1].items()))
     headline = {name: value for name, value in rows[0].items() if isinstance(value, float)}
     summary = {"experiment": "sparse", **source, "headline": headline, "rows": rows}
@@ -135,7 +133,7 @@ def _short(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
+def measure(problem: Problem, noise: float) -> dict[str, float]:
     """Costs, KL, coverage, times and memory on one robot, with noise of that size."""
     few, some, many = (problem.model(most_exact=SOME) for _ in range(3))
     data = problem.data(MANY, 1, noise)
@@ -152,7 +150,7 @@ def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
     policy = problem.policy or searched(problem, sparse)
     exact_kl, sparse_kl = (kl(problem, policy, dynamics) for dynamics in (some, sparse))
     work = [problem.evaluation(policy, dynamics) for dynamics in (few, many)]
-    times = [[cpu_seconds(evaluate) for evaluate in work] for _ in range(repeats + 1)]
+    times = [[cpu_seconds(evaluate) for evaluate in work] for _ in range(REPEATS + 1)]
     exact_seconds, sparse_seconds = (min(column) for column in zip(*times[1:], strict=True))
     return {
         "cost_ratio_n5000": sparse_seconds / exact_seconds,

@@ -23,17 +23,16 @@ SIZES = (100, 400)  # transitions
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
     add_json(parser, "tied")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     source = source_of("tied")
     rows = []
-    for robot in arguments.robots:
+    for robot, make in ROBOTS.items():
         for noise in NOISES:
             for n in SIZES:
                 row = {"robot": robot, "noise": noise, "n": n}
-                rows.append(row | measure(ROBOTS[robot](), n, noise))
+                rows.append(row | measure(make(), n, noise))
                 print(rows[-1], flush=True)
     headline = {
         "least_evidence_lost_nats": min(row["evidence_lost_nats"] for row in rows),

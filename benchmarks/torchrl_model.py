@@ -36,6 +36,7 @@ from benchmarks.workloads import random_transitions, world_model
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.torchrl_interop import GPWorldModel
 
+SEED = 0  # of the transitions
 POINTS = 20  # at which posterior and moments are compared
 
 
@@ -57,30 +58,25 @@ def main() -> None:
     parser.add_argument(
         "--n", type=int, default=100, help="transitions that the models are fitted to"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the transitions")
     add_json(parser, "torchrl_model")
     arguments = parser.parse_args()
     if arguments.n < 2:
         parser.error(f"--n must be at least 2, got {arguments.n}")
     torch.set_num_threads(1)
     source = source_of("torchrl_model")
-    rows = measure(arguments.n, arguments.seed)
-    settings = {
-        "botorch": version("botorch"),
-        "n": arguments.n,
-        "seed": arguments.seed,
-        "points": POINTS,
-    }
+    rows = measure(arguments.n)
+    botorch = version("botorch")
+    settings = {"botorch": botorch, "n": arguments.n, "seed": SEED, "points": POINTS}
     write_summary(arguments.json, {**source, **settings, "rows": rows})
     print(table(rows))
 
 
-def measure(n: int, seed: int) -> list[dict[str, object]]:
+def measure(n: int) -> list[dict[str, object]]:
     """A row for each model; n transitions to learn from and ``POINTS`` others to predict at."""
     states, torques, successors = random_transitions(
-        load_experiment("double_pendulum"), n + POINTS, torch.Generator().manual_seed(seed)
+        load_experiment("double_pendulum"), n + POINTS, torch.Generator().manual_seed(SEED)
     )
-    order = torch.randperm(n + POINTS, generator=torch.Generator().manual_seed(seed))
+    order = torch.randperm(n + POINTS, generator=torch.Generator().manual_seed(SEED))
     data = TensorDict(
         {"observation": states, "action": torques, "next": {"observation": successors}},
         [n + POINTS],

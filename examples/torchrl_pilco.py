@@ -68,7 +68,7 @@ def main() -> int:
 
 
 def parse() -> argparse.Namespace:
-    """The command line; ends with one line where it or the installation will not do."""
+    """Parse the command line; exit with one line if it or the installation is not suitable."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument(
         "--seed", type=int, default=0, help="of the robot, the random forces and the policy"

@@ -36,7 +36,8 @@ def main() -> None:
         out, results = reproduce(PAPER[arguments.name], arguments.quick, command)
     for name, value in results.headline.items():
         print(f"{name}: {'none' if value is None else f'{value:.4g}'}")
-    print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in results.figures)}")
+    files = [f"{out}/summary.json", *(f"{out}/{name}.png" for name in results.figures)]
+    print(f"see {', '.join(files)}")
 
 
 if __name__ == "__main__":

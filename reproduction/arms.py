@@ -127,7 +127,6 @@ PANDA = Arm(
     ),
     (0.0, 1.0, 1.95, 2.8),
 )
-ARMS = {arm.name: arm for arm in (UR5E, PANDA)}
 
 
 def arm_spec(arm: Arm) -> mujoco.MjSpec:

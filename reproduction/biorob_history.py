@@ -20,10 +20,9 @@ from reproduction.biorob import (
     joint_degrees,
     measured,
 )
-from reproduction.figure7 import success_figure
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.sampling_frequency import Interval
-from torch_pmil.runs.summaries import read_summary, success_over_experience
+from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
@@ -62,10 +61,8 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         "more_error_deg": interval.mean,
         "more_error_deg_half_interval": None if quick else interval.half_width,
     }
-    curves = {way: success_over_experience(own) for way, own in ways.items()}
-    figures = {"biorob_history": success_figure(curves)}
     details = {way: [measured(run) for run in own] for way, own in ways.items()}
-    return Results(headline, figures, {"measured": details})
+    return Results(headline, {}, {"measured": details})
 
 
 BIOROB_HISTORY = PaperExperiment(

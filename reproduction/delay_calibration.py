@@ -20,7 +20,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from reproduction.learned import load_learned, remeasured
-from reproduction.plots.calibration import plot_calibration_ahead
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_space import StateSpace
@@ -209,16 +208,8 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     headline |= {
         f"success_{name}": rate for name, rate in zip(names, success.mean(1).tolist(), strict=True)
     }
-    labels = [f"{1000 * delay:g} ms late" for delay in DELAYS]
-    figure = plot_calibration_ahead(
-        AHEAD,
-        {
-            label: {quantity: values[index] for quantity, values in quantities.items()}
-            for index, label in enumerate(labels)
-        },
-    )
     details = {"starts": starts, "steps_ahead": list(AHEAD), "measured": runs}
-    return Results(headline, {"delay_calibration": figure}, details)
+    return Results(headline, {}, details)
 
 
 def measured(folder: Path, experiment: Task, starts: int) -> dict[str, Any]:

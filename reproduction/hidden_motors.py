@@ -14,7 +14,6 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from reproduction.plots.errors import plot_errors_over_data
 from reproduction.reproduction import PaperExperiment, Results, Run
 from torch_pmil.envs.biorob import ROTORS
 from torch_pmil.envs.mujoco_model import state_columns
@@ -78,20 +77,8 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             f"ratio_{2 * count}s{end}": float(ratio)
             for count, ratio in zip(ROLLOUTS, ratios, strict=True)
         }
-    labels = ("motors hidden", "motors known", "motors hidden, with history")
-    panels = {
-        f"{quantity} ({unit})": {
-            label: np.sqrt(np.square(errors[:, :, kind, part]).mean(-1))
-            for kind, label in enumerate(labels)
-        }
-        for quantity, unit, part in (
-            ("error of positions", "rad", slice(3)),
-            ("error of velocities", "rad/s", slice(3, 6)),
-        )
-    }
-    figure = plot_errors_over_data([2 * count for count in ROLLOUTS], panels)
     details = {"rollouts": list(ROLLOUTS), "tested": TESTED, "errors": errors.tolist()}
-    return Results(headline, {"hidden_motors": figure}, details)
+    return Results(headline, {}, details)
 
 
 def one_step_errors(seed: int, rollouts: int, tested: Recorded) -> np.ndarray:

@@ -20,7 +20,6 @@ from torch import Tensor
 from reproduction.ablation import success_and_experience
 from reproduction.handwriting import written
 from reproduction.learned import load_learned, measured_success
-from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
@@ -35,7 +34,6 @@ from torch_pmil.envs.double_pendulum import (
     link_positions,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.plotting import Figure
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.tasks.double_pendulum import double_pendulum
 from torch_pmil.tasks.handwriting import (
@@ -65,14 +63,12 @@ class Variant:
     """A task whose demonstrations are not as they should be.
 
     Args:
-        label: in the figure.
         task: what is learned.
         measure: the task with the demonstrations as they should be, which determine success.
         fault: words with one of which a message names the fault; where there is none, those of all
             faults, so that a false alarm counts.
     """
 
-    label: str
     task: Task
     measure: Task
     fault: tuple[str, ...] = ("is unlike the others", "are two different ways", *UNREACHED)
@@ -82,15 +78,15 @@ class Variant:
 
         Example:
             >>> task = double_pendulum()
-            >>> Variant("late", task, task, UNLIKE).named_in(["demonstration 1 jumps in y2"])
+            >>> Variant(task, task, UNLIKE).named_in(["demonstration 1 jumps in y2"])
             False
         """
         return any(words in message for message in messages for words in self.fault)
 
 
 @cache
-def variants() -> dict[str, dict[str, Variant]]:
-    """All variants by their names, those of each figure together, what is perfect first.
+def variants() -> tuple[dict[str, Variant], dict[str, Variant]]:
+    """All variants by their names: swing-ups and strokes, what is perfect first.
 
     The strokes need the LASA recordings.
     """
@@ -99,29 +95,26 @@ def variants() -> dict[str, dict[str, Variant]]:
     own = shown.positions[WRONG]
     links, longer = (swing_ups_of(lengths) for lengths in (OTHER_LINKS, LONGER_LINKS))
     swing_ups = {
-        "failed": ("one failed", _with_one(shown, failed_swing_up()), UNLIKE),
-        "late": ("one 0.3 s late", _with_one(shown, late(own)), UNLIKE),
-        "mirrored": ("one to the other side", _with_one(shown, mirrored(own)), UNLIKE),
-        "links": ("links of 0.4 and 0.6 m", links, UNREACHED),
-        "longer": ("links 10 % longer", longer, UNREACHED),
+        "failed": (_with_one(shown, failed_swing_up()), UNLIKE),
+        "late": (_with_one(shown, late(own)), UNLIKE),
+        "mirrored": (_with_one(shown, mirrored(own)), UNLIKE),
+        "links": (links, UNREACHED),
+        "longer": (longer, UNREACHED),
     }
-    of_pendulum = {"perfect": Variant("perfect", task, task)} | {
-        name: Variant(label, _named(double_pendulum(given), name), task, fault)
-        for name, (label, given, fault) in swing_ups.items()
+    of_pendulum = {"perfect": Variant(task, task)} | {
+        name: Variant(_named(double_pendulum(given), name), task, fault)
+        for name, (given, fault) in swing_ups.items()
     }
-    of_pendulum["links_tip"] = Variant(
-        "0.4 and 0.6 m, the tip alone", _named(of_tip(task, links), "links_tip"), task
-    )
+    of_pendulum["links_tip"] = Variant(_named(of_tip(task, links), "links_tip"), task)
     strokes = {
-        "strokes": Variant("seven strokes", writing, writing),
+        "strokes": Variant(writing, writing),
         "wrong_stroke": Variant(
-            "one of another shape",
             _named(with_strokes(writing, wrong_strokes(writing)), "wrong_stroke"),
             writing,
             UNLIKE,
         ),
     }
-    return {"imperfect": of_pendulum, "imperfect_strokes": strokes}
+    return of_pendulum, strokes
 
 
 def failed_swing_up() -> Tensor:
@@ -226,7 +219,7 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     seeds, trials = (QUICK_SEEDS, QUICK_TRIALS) if quick else (SEEDS, TRIALS)
     return [
         learning_run(root / "imperfect", variant.task, seed, trials)
-        for known in variants().values()
+        for known in variants()
         for variant in known.values()
         for seed in seeds
     ]
@@ -237,8 +230,8 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     seeds = list(QUICK_SEEDS if quick else SEEDS)
     headline: dict[str, float | None] = {}
     details: dict[str, object] = {"seeds": seeds, "starts": STARTS}
-    figures, left = {}, list(folders)
-    for figure, known in variants().items():
+    left = list(folders)
+    for known in variants():
         outcomes = {}
         for name, variant in known.items():
             own, left = left[: len(seeds)], left[len(seeds) :]
@@ -248,8 +241,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             numbers, words = compared(variant, outcomes[name], perfect)
             headline |= {f"{quantity}_{name}": value for quantity, value in numbers.items()}
             details[name] = words
-        figures[figure] = drawn(known, outcomes)
-    return Results(headline, figures, details)
+    return Results(headline, {}, details)
 
 
 def outcome_of(folder: Path, variant: Variant) -> dict[str, Any]:
@@ -298,20 +290,6 @@ def compared(
     refused = any(finding.fatal for finding in findings)  # by pmil train, not here
     warnings = [asdict(finding) for finding in findings]
     return numbers, {"refused": refused, "warnings": warnings, "beside": beside, "runs": outcomes}
-
-
-def drawn(known: dict[str, Variant], outcomes: dict[str, list[dict[str, Any]]]) -> Figure:
-    """Success of each variant's runs, and the experience before their first own success.
-
-    An own success counts as none where the saved policy has none by the variant's measure.
-    """
-    runs = [outcomes[name] for name in known]
-    rates = np.array([[run["success"] for run in own] for own in runs])
-    seconds = np.array([[run["first_own_success_s"] for run in own] for own in runs], dtype=float)
-    never = np.isnan(seconds) | (rates == 0)
-    return plot_variants(
-        [variant.label for variant in known.values()], rates, np.where(never, np.inf, seconds)
-    )
 
 
 def _with_one(shown: Demonstrations, motion: Tensor) -> Demonstrations:

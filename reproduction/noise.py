@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from reproduction.delay_calibration import AHEAD, CALIBRATION, STARTS, calibrations, rows_of
-from reproduction.plots.calibration import plot_calibration_ahead
 from reproduction.remembering import needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
 from reproduction.robustness import with_noise
@@ -47,27 +46,20 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience and of the saved policies, and calibration over the steps ahead."""
     known, starts = noisy(), 5 if quick else STARTS
     found, each = results_of(noisy, "noise", folders, quick), len(folders) // len(known)
-    headline, details, values = dict(found.headline), [], {}
-    for number, (label, task) in enumerate(known.items()):
+    headline, details = dict(found.headline), []
+    for number, task in enumerate(known.values()):
         own = folders[number * each : (number + 1) * each]
         runs = [calibrations(folder, task, starts) for folder in own]
         details += [rows_of(run) for run in runs]
-        values[label] = {
-            quantity: np.array([[getattr(run[steps], quantity) for steps in AHEAD] for run in runs])
-            for quantity in CALIBRATION
-        }
         end = f"_{task.name}" if number else ""
         headline |= {
-            f"{quantity}_{steps}_ahead{end}": of_runs[:, column].mean().item()
-            for quantity, of_runs in values[label].items()
-            for column, steps in enumerate(AHEAD)
+            f"{quantity}_{steps}_ahead{end}": float(
+                np.mean([getattr(run[steps], quantity) for run in runs])
+            )
+            for quantity in CALIBRATION
+            for steps in AHEAD
         }
-    figure = plot_calibration_ahead(AHEAD, values)
-    return Results(
-        headline,
-        {**found.figures, "noise_calibration": figure},
-        {**found.details, "calibration": details},
-    )
+    return Results(headline, found.figures, {**found.details, "calibration": details})
 
 
 NOISE = PaperExperiment(

@@ -13,26 +13,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
-from reproduction.figure7 import (
-    GOAL,
-    OURS,
-    SEEDS,
-    success_curves,
-    success_figure,
-    success_numbers,
-)
+from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_numbers
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.runs.summaries import SuccessCurve
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
-OTHERS = 5  # curves beside ours for which a figure has room
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 
 
@@ -154,7 +144,6 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience of each method on each task, and by how much ours is ahead."""
     seeds = len(QUICK_SEEDS if quick else SEEDS)
     headline: dict[str, float | None] = {"seeds": seeds}
-    figures: dict[str, Figure] = {}
     details: dict[str, object] = {}
     left = list(folders)
     for task, methods in TASKS.items():
@@ -166,8 +155,6 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             for method in methods
             for quantity, value in _numbers(method, curves[method.label]).items()
         }
-        drawn = {method.label: curves[method.label] for method in methods if method.factor == 1}
-        figures |= _figures(task, drawn)
         ours, *others = methods
         details[task] = {
             "curves": success_numbers(curves),
@@ -176,18 +163,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
                 for other in others
             },
         }
-    return Results(headline, figures, details)
-
-
-def _figures(task: str, curves: Mapping[str, SuccessCurve]) -> dict[str, Figure]:
-    """Figures of a task, each with ours and with some of the others."""
-    ours, *others = curves
-    return {
-        f"peers_{task}" + (f"_{begin // OTHERS + 1}" if begin else ""): success_figure(
-            {label: curves[label] for label in (ours, *others[begin : begin + OTHERS])}
-        )
-        for begin in range(0, len(others), OTHERS)
-    }
+    return Results(headline, {}, details)
 
 
 def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:

@@ -15,7 +15,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -23,7 +22,6 @@ from reproduction.arms import (
     PANDA,
     TOLERATED,
     UR5E,
-    Arm,
     Distance,
     arm_experiment,
     pilco_experiment,
@@ -34,7 +32,7 @@ from reproduction.learned import Learned, load_learned
 from reproduction.plots.photos import plot_photo_series
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run, tell_trial
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.plotting import Figure, plot_distributions
+from torch_pmil.plotting import Figure
 from torch_pmil.runs.pictures import steps_of
 from torch_pmil.runs.printing import tell
 from torch_pmil.runs.training import train
@@ -86,18 +84,11 @@ def _learn_and_tell(out: Path, command: str, experiment: Task, seed: int) -> Non
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Seeds that came near enough, how near, after how much experience; seed 0 is drawn."""
+    """Seeds that came near enough, how near, after how much experience; the first is drawn."""
     tasks, seeds = experiments(), QUICK_SEEDS if quick else SEEDS
     rest, measured = iter(folders), dict[str, list[dict[str, Any]]]()
-    first: dict[str, Learned] = {}
     for name, task in tasks.items():
-        learned = [load_learned(next(rest), task) for _ in seeds[name]]
-        measured[name] = [measured_run(one, task) for one in learned]
-        if learned:
-            first[name] = learned[0]
-    figures: dict[str, Figure] = {}
-    for arm in (UR5E, PANDA):
-        figures |= drawn(arm, first[arm.name], tasks[arm.name])
+        measured[name] = [measured_run(load_learned(next(rest), task), task) for _ in seeds[name]]
     servos = {
         f"servo_alone_ratio_{arm.name}": ratio_of(
             servo_alone(tasks[arm.name], MEASURED_STARTS, START_SEED), tasks[arm.name]
@@ -114,6 +105,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         for arm in (UR5E, PANDA)
     }
     details = {"tolerated_ratio": TOLERATED, "starts": MEASURED_STARTS, "measured": measured}
+    figures = drawn(load_learned(folders[0], tasks["ur5e"]), tasks["ur5e"])
     return Results(headline | servos | degrees, figures, details)
 
 
@@ -149,29 +141,14 @@ def headline_of(runs: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def drawn(arm: Arm, learned: Learned, task: Task) -> dict[str, Figure]:
-    """Joints over time, and pictures of the mean demonstration above those of a rollout."""
+def drawn(learned: Learned, task: Task) -> dict[str, Figure]:
+    """Pictures of the mean demonstration above those of a rollout, if OpenGL is available."""
     rollouts = learned.rollouts(task, MEASURED_STARTS, START_SEED)
-    count = len(arm.joints)
-    to_degrees = torch.eye(2 * count, dtype=torch.float64)[:count].rad2deg()
-    own = torch.eye(count, dtype=torch.float64).rad2deg()
-    predicted = learned.predicted(task).affine(to_degrees)
-    figures = {
-        f"{arm.name}_joints": plot_distributions(
-            [name.removesuffix("_joint").replace("_", " ") for name in arm.joints],
-            ["°"] * count,
-            task.time_step,
-            task.demonstrations.positions @ own.mT,
-            task.demonstrated.affine(own),
-            predicted.add_noise((own.diagonal() * task.noise_std) ** 2),
-            states_of(rollouts) @ to_degrees.mT,
-        )
-    }
     try:
-        figures[f"{arm.name}_pictures"] = photo_series(rollouts[0], task)
+        return {f"{task.name}_pictures": photo_series(rollouts[0], task)}
     except RuntimeError as error:
-        warnings.warn(f"there are no pictures of {arm.name}: {error}", RuntimeWarning, stacklevel=1)
-    return figures
+        warnings.warn(f"there are no pictures: {error}", RuntimeWarning, stacklevel=1)
+        return {}
 
 
 def photo_series(rollout: TensorDictBase, task: Task) -> Figure:

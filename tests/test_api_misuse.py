@@ -18,7 +18,6 @@ from torch import Tensor, ones, zeros
 
 from reproduction.baselines.dmp import DMP
 from reproduction.baselines.learned_inverse_dynamics import InverseDynamics, Reference
-from reproduction.plots.errors import plot_errors_over_data
 from reproduction.plots.frequencies import plot_frequencies
 from reproduction.plots.photos import plot_photo_series
 from reproduction.plots.success import plot_success_over_mass, plot_success_over_settings
@@ -1001,7 +1000,6 @@ MISUSES: list[Misuse] = [
         lambda: plotting.plot_before_after(["x"], ["m"], [], []),
         "there must be a trajectory before",
     ),
-    *wrong(lambda: plot_errors_over_data([1.0], {}), "panels must hold one at least, got none"),
     *wrong(lambda: plot_frequencies([1.0], {}), "scores must hold one at least, got none"),
     *wrong(lambda: plot_photo_series({}, []), "rows must hold one at least, got none"),
     *wrong(

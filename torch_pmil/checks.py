@@ -46,7 +46,7 @@ def whole_multiple(value: float, unit: float) -> int | None:
 
 
 def check_positive(name: str, value: object, zero: bool = False) -> None:
-    """Raise ValueError unless a value is a finite number above zero, or at least ``zero``.
+    """Raise ValueError unless a value is a finite number above zero, or zero if ``zero`` is True.
 
     Example:
         >>> check_positive("width", float("nan"))
@@ -158,10 +158,11 @@ def check_noise(noise_std: object, names: Sequence[str], zero: bool = False) -> 
     Args:
         noise_std: one standard deviation, or one for each entry.
         names: of the M entries.
-        zero: whether there may be none.
+        zero: whether a standard deviation may be zero.
 
     Raises:
-        ValueError: it is another number of numbers, or one is not finite, or not positive.
+        ValueError: there is neither one number nor one for each entry, or one of them is not finite
+            or not positive.
     """
     try:
         if isinstance(noise_std, bool):

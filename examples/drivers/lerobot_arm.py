@@ -37,15 +37,15 @@ class LeRobot(Protocol):
 class LeRobotArm:
     """Positions of an arm's motors as its state, and their targets as actions.
 
-    It is connected when it is not yet. To stop it is to send the positions that were read last, so
-    that the arm holds them; ``robot.disconnect()`` is for when nobody is below the arm. Velocities
-    come from :class:`torch_pmil.envs.physical.velocity_filter.WithVelocities`.
+    The arm is connected if it is not connected yet. ``stop`` sends the positions that were read
+    last, so that the arm holds them. Call ``robot.disconnect()`` only when nobody is below the arm.
+    Velocities come from :class:`torch_pmil.envs.physical.velocity_filter.WithVelocities`.
 
     Args:
-        robot: of LeRobot.
-        motors: their names, in the order of states and actions, as ``"shoulder_pan"``.
-        unit: what one of LeRobot's units is in those of states and actions, for all motors or one
-            each; a degree in rad, for arms configured with ``use_degrees=True``.
+        robot: a robot of LeRobot.
+        motors: their names, in the order of states and actions, such as ``"shoulder_pan"``.
+        unit: LeRobot's unit in units of states and actions, one for all motors or one each. The
+            default is a degree in rad, for arms configured with ``use_degrees=True``.
 
     Raises:
         KeyError: at a reading, when the robot has no such motor.

@@ -26,9 +26,9 @@ class Publisher(Protocol):
 class Ros2Robot:
     """Joint states in, commands to a forward command controller out.
 
-    The node is the user's, who subscribes :meth:`on_joint_state` to ``sensor_msgs/JointState`` and
-    spins in another thread. The state is ``[q1, dq1, q2, dq2, ...]``; velocities that the message
-    does not hold come from the filter, which sees each message. To stop the robot is to command the
+    The user makes the node, subscribes :meth:`on_joint_state` to ``sensor_msgs/JointState`` and
+    spins the node in another thread. The state is ``[q1, dq1, q2, dq2, ...]``. If a message lacks
+    velocities, they come from the filter, which sees each such message. ``stop`` commands the
     positions that came last, or zeros where the controller takes velocities or efforts.
 
     Args:

@@ -38,8 +38,8 @@ class RemoteRobot:
 
     Args:
         dim: entries of the state.
-        timeout: age in s beyond which a state is no longer that of a robot in order; half a
-            control period lets the end of the server be noticed within two.
+        timeout: age in s beyond which a state is too old, and the robot counts as failed. With half
+            a control period, the end of the server is noticed within two control periods.
         states, commands: addresses of the server.
     """
 
@@ -99,8 +99,8 @@ class RemoteRobot:
     def stop(self) -> None:
         """Stop the robot.
 
-        The connection is one of its own, as any thread may ask for it. It may overtake others: a
-        stop counts for its own rollout alone.
+        It uses a connection of its own, since any thread may call it. Its message may overtake
+        others, so a stop applies only to its own rollout.
         """
         with self._context.socket(zmq.PUSH) as commands:
             commands.linger = LINGER

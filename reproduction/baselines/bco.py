@@ -27,6 +27,7 @@ from reproduction.baselines.peer import Peer
 from torch_pmil.tasks.task import Task
 
 BATCH = 256  # rows of a step
+CELLS = 64  # of each of the two hidden layers of the networks
 
 
 class ClonesFromObservation(Peer):
@@ -96,7 +97,6 @@ class BCO(ClonesFromObservation):
     Args:
         experiment: what to learn.
         seed: of the networks and the exploration.
-        cells: of each of the two hidden layers.
         steps: of Adam for each network in a fit; as many as transitions are new, if these are more.
         learning_rate: of Adam.
         weight_decay: of the networks.
@@ -110,7 +110,6 @@ class BCO(ClonesFromObservation):
         self,
         experiment: Task,
         seed: int,
-        cells: int = 64,
         steps: int = 500,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-4,
@@ -122,7 +121,7 @@ class BCO(ClonesFromObservation):
         F = len(experiment.actions.names)
         with seeded(self.generator):
             self.inferring, self.cloning = (
-                Regression(inputs, F, cells, learning_rate, weight_decay)
+                Regression(inputs, F, learning_rate, weight_decay)
                 for inputs in (self.inverse_width, features)
             )
 
@@ -151,14 +150,13 @@ class Regression:
     Args:
         inputs: I.
         outputs: F.
-        cells: of each of its two hidden layers.
         learning_rate, weight_decay: of AdamW.
     """
 
     def __init__(
-        self, inputs: int, outputs: int, cells: int, learning_rate: float, weight_decay: float
+        self, inputs: int, outputs: int, learning_rate: float, weight_decay: float
     ) -> None:
-        layers = MLP(inputs, outputs, num_cells=[cells, cells], activation_class=nn.Tanh)
+        layers = MLP(inputs, outputs, num_cells=[CELLS, CELLS], activation_class=nn.Tanh)
         self.network = Scaled(layers, inputs)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=learning_rate, weight_decay=weight_decay

@@ -25,11 +25,12 @@ import torch
 from torch import Tensor
 
 from reproduction.baselines.cross_entropy_method import minimise_by_cem
-from reproduction.baselines.network_ensemble import EnsembleModel
+from reproduction.baselines.network_ensemble import MEMBERS, EnsembleModel
 from reproduction.baselines.networks import from_unit
 from reproduction.baselines.peer import Peer
 from torch_pmil.tasks.task import Task
 
+PLAN_STD = 0.5  # of a plan's first draws, as a fraction of half the action's range
 LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}  # for precise plans
 
 
@@ -39,14 +40,10 @@ class EnsembleCEM(Peer):
     Args:
         experiment: what to learn.
         seed: of networks and plans.
-        members: number of networks.
-        cells: of each of their two hidden layers.
         steps: of Adam in each fit.
         learning_rate: of Adam.
-        weight_decay: of the networks.
         plan_seconds: how far a plan goes, or up to the end of the demonstrations.
         candidates, elites, iterations: of the cross-entropy method.
-        plan_std: of its first draws, as a fraction of half the action's range.
         most_cost: c, which the cost of a step does not exceed.
     """
 
@@ -57,24 +54,17 @@ class EnsembleCEM(Peer):
         self,
         experiment: Task,
         seed: int,
-        members: int = 5,
-        cells: int = 64,
         steps: int = 2500,
         learning_rate: float = 2e-3,
-        weight_decay: float = 1e-2,
         plan_seconds: float = 0.8,
         candidates: int = 64,
         elites: int = 8,
         iterations: int = 3,
-        plan_std: float = 0.5,
         most_cost: float = 30.0,
     ) -> None:
         super().__init__(experiment, seed)
-        self.model = EnsembleModel(
-            experiment, members, cells, steps, learning_rate, weight_decay, self.generator
-        )
+        self.model = EnsembleModel(experiment, steps, learning_rate, self.generator)
         self.plan_steps = round(plan_seconds / experiment.demonstrations.time_step)
-        self.plan_std = plan_std
         self.candidates, self.elites, self.iterations = candidates, elites, iterations
         self.most_cost = most_cost
         demonstrated = experiment.demonstrated
@@ -101,7 +91,7 @@ class EnsembleCEM(Peer):
         self._plan = minimise_by_cem(
             cost,
             mean,
-            self.plan_std,
+            PLAN_STD,
             self.candidates,
             self.elites,
             self.iterations,
@@ -111,10 +101,10 @@ class EnsembleCEM(Peer):
 
     def cost(self, step: int, states: Tensor, plans: Tensor) -> Tensor:
         """Mean cost (*batch, N) of plans (*batch, N, H, F) from states (*batch, D) at a step."""
-        members, shape = self.model.members, plans.shape[:-2]
+        shape = plans.shape[:-2]
         particles = states.float().unsqueeze(-2).expand(*shape, -1).flatten(0, -2)
-        particles = particles.expand(members, *particles.shape)
-        actions = plans.flatten(0, -3).expand(members, -1, -1, -1)
+        particles = particles.expand(MEMBERS, *particles.shape)
+        actions = plans.flatten(0, -3).expand(MEMBERS, -1, -1, -1)
         total = torch.zeros(particles.shape[:-1])
         for ahead in range(plans.shape[-2]):
             particles = self.model.sample(particles, actions[..., ahead, :])

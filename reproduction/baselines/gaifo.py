@@ -35,6 +35,9 @@ from torch_pmil.tasks.task import Task
 
 BATCH = 128  # transitions of a step
 SURE = 1e-6  # of the discriminator: a larger probability is no larger reward
+CELLS = 64  # of each of the two hidden layers of the networks
+LEARNING_RATE = 1e-3  # of Adam, of actor and critics
+DISCOUNT = 0.95  # of the rewards
 TARGET_RATE = 0.01  # of the target critics, at each step
 Pair = tuple[Tensor, Tensor]  # now and a step later
 
@@ -67,12 +70,9 @@ class GAIfO(Peer):
     Args:
         experiment: what to learn.
         seed: of the networks and the exploration.
-        cells: of each of the two hidden layers of the networks.
         steps: of each network in a fit; as many as transitions are new, if these are more.
-        learning_rate: of Adam, of actor and critics.
         discriminator_rate: of Adam, of the discriminator.
         penalty: of the discriminator's gradient.
-        discount: of the rewards.
     """
 
     label: ClassVar[str] = "GAIfO (SAC)"
@@ -82,12 +82,9 @@ class GAIfO(Peer):
         self,
         experiment: Task,
         seed: int,
-        cells: int = 64,
         steps: int = 500,
-        learning_rate: float = 1e-3,
         discriminator_rate: float = 3e-4,
         penalty: float = 1.0,
-        discount: float = 0.95,
     ) -> None:
         super().__init__(experiment, seed)
         self.steps = steps
@@ -95,17 +92,17 @@ class GAIfO(Peer):
         features, entries = len(space.feature_names), space.match_space.dim
         F = len(experiment.actions.names)
         with seeded(self.generator):
-            self.discriminator = Discriminator(entries, cells)
+            self.discriminator = Discriminator(entries, CELLS)
             self.adversary = adversarial_loss(self.discriminator, penalty)
             self.policy = nn.Sequential(
-                MLP(features, 2 * F, num_cells=[cells, cells], activation_class=nn.ReLU),
+                MLP(features, 2 * F, num_cells=[CELLS, CELLS], activation_class=nn.ReLU),
                 NormalParamExtractor(),
             )
-            self.learner = actor_critic_loss(self.policy, features, F, cells, discount)
+            self.learner = actor_critic_loss(self.policy, features, F, CELLS, DISCOUNT)
         self.targets = SoftUpdate(self.learner, tau=TARGET_RATE)
         self.optimizers = (
             torch.optim.Adam(self.adversary.parameters(), lr=discriminator_rate),
-            torch.optim.Adam(self.learner.parameters(), lr=learning_rate),
+            torch.optim.Adam(self.learner.parameters(), lr=LEARNING_RATE),
         )
         self.scale = Scaled(nn.Identity(), features)
         self.seen = Scaled(nn.Identity(), entries)

@@ -21,6 +21,8 @@ from reproduction.baselines.networks import LEAST_STD, Scaled, descend, seeded, 
 from torch_pmil.tasks.task import Task
 
 BATCH = 64  # rows of a step, for each member
+MEMBERS, CELLS = 5, 64  # E, and cells of each hidden layer
+WEIGHT_DECAY = 1e-2  # of the networks
 LOG_VARIANCES = -10.0, 0.5  # range of the networks' outputs, of scaled differences
 
 
@@ -28,21 +30,18 @@ class Ensemble(nn.Module):
     """E networks of two hidden layers, each of a diagonal Gaussian of O outputs.
 
     Args:
-        members: E.
         inputs: I.
         outputs: O.
-        cells: of each hidden layer.
     """
 
-    def __init__(self, members: int, inputs: int, outputs: int, cells: int) -> None:
+    def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        sizes = [inputs, cells, cells, 2 * outputs]
-        pairs = list(itertools.pairwise(sizes))
+        pairs = list(itertools.pairwise([inputs, CELLS, CELLS, 2 * outputs]))
         self.weights = nn.ParameterList(
-            nn.Parameter(torch.randn(members, rows, columns) / rows**0.5) for rows, columns in pairs
+            nn.Parameter(torch.randn(MEMBERS, rows, columns) / rows**0.5) for rows, columns in pairs
         )
         self.biases = nn.ParameterList(
-            nn.Parameter(torch.zeros(members, 1, columns)) for _, columns in pairs
+            nn.Parameter(torch.zeros(MEMBERS, 1, columns)) for _, columns in pairs
         )
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -58,32 +57,21 @@ class EnsembleModel:
 
     Args:
         experiment: whose robot it is.
-        members: number of networks E.
-        cells: of each of their hidden layers.
         steps: of Adam in each fit.
         learning_rate: of Adam.
-        weight_decay: of the networks.
         generator: of all random numbers.
     """
 
     def __init__(
-        self,
-        experiment: Task,
-        members: int,
-        cells: int,
-        steps: int,
-        learning_rate: float,
-        weight_decay: float,
-        generator: torch.Generator,
+        self, experiment: Task, steps: int, learning_rate: float, generator: torch.Generator
     ) -> None:
-        self.experiment, self.members, self.steps = experiment, members, steps
-        self.generator = generator
+        self.experiment, self.steps, self.generator = experiment, steps, generator
         D = experiment.space.dim
         inputs = len(experiment.space.feature_names) + len(experiment.actions.names)
         with seeded(generator):
-            self.network = Scaled(Ensemble(members, inputs, D, cells), inputs)
+            self.network = Scaled(Ensemble(inputs, D), inputs)
         self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=learning_rate, weight_decay=weight_decay
+            self.network.parameters(), lr=learning_rate, weight_decay=WEIGHT_DECAY
         )
         self.difference_std = torch.ones(D)
 
@@ -94,7 +82,7 @@ class EnsembleModel:
         self.network.set_scale(inputs)
         self.difference_std = differences.std(0).clamp_min(LEAST_STD)
         targets, n = differences / self.difference_std, len(inputs)
-        own = torch.randint(n, (self.members, n), generator=self.generator)
+        own = torch.randint(n, (MEMBERS, n), generator=self.generator)
 
         def loss(rows: Tensor) -> Tensor:
             mean, log_variance = self._moments(inputs[own[:, rows]])

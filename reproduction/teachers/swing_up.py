@@ -25,6 +25,7 @@ UPRIGHT_FROM = 18  # the plan is paid for being upright from 1.8 s
 HOLD_FROM = 20  # the last 0.5 s hold it
 HANGING = np.array([math.pi, 0.0, 0.0, 0.0])
 UPRIGHT = np.zeros(4)  # q1 and q2 end where no link has wound up
+TORQUE_LIMIT = 3.5  # N·m, of plan and feedback together
 PLANNED_TORQUE = 3.0  # N·m; the rest up to the limit is for feedback
 TORQUE_NOISE = 0.1  # N·m, standard deviation of the demonstrator's imprecision at each step
 PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan with
@@ -32,14 +33,12 @@ PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan
 
 def swing_up_teacher(
     link_masses: Sequence[float] = (0.5, 0.5),
-    torque_limit: float = 3.5,
     link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> TrackingController:
     """Plan the swing-up from hanging and a controller that follows the plan, then balances.
 
     Args:
         link_masses: masses of the two rods in kg.
-        torque_limit: largest absolute torque of plan and feedback together, in N·m.
         link_lengths: of the rods in m.
 
     Returns:
@@ -54,14 +53,13 @@ def swing_up_teacher(
     state_weights = np.tile([0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1))
     state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
     cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
-    return teacher_for(cost, guess, link_masses, torque_limit, link_lengths)
+    return teacher_for(cost, guess, link_masses, link_lengths)
 
 
 def teacher_for(
     cost: QuadraticCost,
     guess: Array,
     link_masses: Sequence[float] = (0.5, 0.5),
-    torque_limit: float = 3.5,
     link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> TrackingController:
     """Plan the motion from hanging to a pose, and a controller that tracks it and holds there.
@@ -71,18 +69,16 @@ def teacher_for(
             that keep it, in N·m.
         guess: torques to plan from, (25, 2), in N·m.
         link_masses: masses of the two rods in kg.
-        torque_limit: largest absolute torque of plan and feedback together, in N·m.
         link_lengths: of the rods in m.
 
     Raises:
         RuntimeError: the plan does not reach the pose within the torque limit.
     """
-    dynamics = planning_dynamics(link_masses, torque_limit, link_lengths)
-    planned_torque = np.full(2, min(PLANNED_TORQUE, torque_limit))
-    plan = plan_trajectory(dynamics, HANGING, cost, guess, planned_torque)
+    dynamics = planning_dynamics(link_masses, link_lengths)
+    plan = plan_trajectory(dynamics, HANGING, cost, guess, np.full(2, PLANNED_TORQUE))
     if np.abs(plan.states[HOLD_FROM] - cost.target).max() > 0.1:
         raise RuntimeError(
-            f"no plan found within {planned_torque[0]} N·m for link masses {link_masses} kg to the "
+            f"no plan found within {PLANNED_TORQUE} N·m for link masses {link_masses} kg to the "
             f"state {cost.target.tolist()}"
         )
     return tracking_controller(
@@ -92,7 +88,7 @@ def teacher_for(
         hold_from=HOLD_FROM,
         state_weights=np.array([10.0, 1.0, 10.0, 1.0]),
         action_weights=np.ones(2),
-        action_limit=np.full(2, torque_limit),
+        action_limit=np.full(2, TORQUE_LIMIT),
         hold_action=cost.hold_action,
     )
 
@@ -129,7 +125,6 @@ def demonstrate(
 
 def planning_dynamics(
     link_masses: Sequence[float] = (0.5, 0.5),
-    torque_limit: float = 3.5,
     link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> Dynamics:
     """The double pendulum at a coarser simulation step, as a function of arrays."""
@@ -140,7 +135,7 @@ def planning_dynamics(
         ("q1", "q2"),
         initial_mean=HANGING.tolist(),
         initial_std=(0.0,) * 4,
-        torque_limit=torque_limit,
+        torque_limit=TORQUE_LIMIT,
         seed=0,
     )
     return array_dynamics(env)

@@ -31,6 +31,7 @@ Dynamics = Callable[[Array, Array], Array]
 
 LINE_SEARCH = 0.5 ** np.arange(10.0)
 DIFFERENCE_STEP = 1e-5
+MAX_ITERATIONS = 200  # after which the best plan so far is returned
 MU_MIN, MU_MAX, MU_FACTOR = 1e-8, 1e8, 4.0
 
 
@@ -115,7 +116,6 @@ def plan_trajectory(
     cost: QuadraticCost,
     initial_actions: Array,
     action_limit: Array,
-    max_iterations: int = 200,
     tolerance: float = 1e-6,
 ) -> Plan:
     """Control-limited iterative LQR.
@@ -130,7 +130,6 @@ def plan_trajectory(
         cost: what to minimise, over T steps.
         initial_actions: first guess (T, F).
         action_limit: largest absolute action, (F,).
-        max_iterations: after which the best plan so far is returned.
         tolerance: relative improvement of the cost that ends the search.
 
     Returns:
@@ -141,7 +140,7 @@ def plan_trajectory(
     states, actions = rollouts[0][0], rollouts[1][0]
     best, mu = float(cost(states, actions)), 1.0
     A, B = linearize(dynamics, states[:-1], actions)
-    for _ in range(max_iterations):
+    for _ in range(MAX_ITERATIONS):
         k, K, _ = _backward(A, B, states, actions, cost, action_limit, mu)
         found = _line_search(dynamics, states, actions, k, K, cost, action_limit)
         improvement = best - found[-1]

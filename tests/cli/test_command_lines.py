@@ -35,6 +35,7 @@ TRUTH = " must be true or false, got "
 RANDOM = "random_action must be a finite number, above 0, at most 1, got "
 ITERATIONS = "search.final_iterations must be a whole number of at least 0, got "
 FLAGS = ("--nope", "--config-dir", "--config-name=nothing", "--config-dir=nowhere", "--cfg")
+FLAGS += ("--experimental-rerun=a", "--info", "-p")
 WITHIN = "time_step must be positive and at most the duration, 0.8 s, got "
 
 

@@ -323,17 +323,6 @@ def test_setting_that_is_not_as_it_must_be_is_one_line_before_anything_is_writte
     assert os.listdir() == []
 
 
-@pytest.mark.parametrize("flag", ["--experimental-rerun=a", "--config-dir=a", "--info", "-p"])
-def test_flags_of_hydra_are_refused_in_one_line(
-    script: Script, capsys: pytest.CaptureFixture[str], flag: str
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        script("out=run", flag)
-    complaint = f"error: unrecognized arguments: {flag} (see pmil train --help)\n"
-    assert capsys.readouterr() == ("", complaint)
-    assert os.listdir() == []
-
-
 @pytest.mark.parametrize(
     "line",
     [

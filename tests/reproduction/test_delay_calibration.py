@@ -1,14 +1,12 @@
-"""The robot whose torques take effect late, the measures of calibration, and their figure."""
+"""The robot whose torques take effect late, and the measures of calibration."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from reproduction.delay_calibration import Calibration, DelayedDoublePendulumEnv, with_delay
-from reproduction.plots.calibration import plot_calibration_ahead
 from tests.helpers.draws import Draws
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
@@ -74,25 +72,3 @@ def test_beliefs_that_are_too_sure_are_told_apart(draws: Draws) -> None:
     assert found.coverage < 0.6
     assert found.standardised_error == pytest.approx(3, rel=0.1)
     assert found.nll > Calibration.of(belief, draws.normal(2000, 1)).nll + 3
-
-
-def test_figure_has_a_line_for_each_model(draws: Draws) -> None:
-    values = {
-        name: {
-            quantity: draws.uniform(0.1, 1.0, 3, 2).numpy()
-            for quantity in ("coverage", "standardised_error", "nll")
-        }
-        for name in ("0 ms late", "50 ms late")
-    }
-    figure = plot_calibration_ahead([1, 25], values)
-    assert [panel.get_xlabel() for panel in figure.axes] == ["steps ahead"] * 3
-    for panel, quantity, factor in zip(figure.axes, values["0 ms late"], (100, 1, 1), strict=True):
-        drawn = [container.lines[0].get_ydata() for container in panel.containers]
-        for line, model in zip(drawn, values.values(), strict=True):
-            np.testing.assert_allclose(line, factor * model[quantity].mean(0))
-    with pytest.raises(
-        ValueError, match=r"coverage of 0 ms late must be \(runs, 1\), got \(3, 2\)"
-    ):
-        plot_calibration_ahead([1], values)
-    with pytest.raises(ValueError, match="models must hold one at least, got none"):
-        plot_calibration_ahead([1], {})

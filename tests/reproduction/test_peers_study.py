@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from reproduction.baselines.known_peers import named, trials_until
-from reproduction.peers import OTHERS, TASKS, TIMES, needed_runs, results
+from reproduction.peers import TASKS, TIMES, needed_runs, results
 from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.files import read_json
 
@@ -79,11 +79,3 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
     ahead = found.details["pendubot"]["ahead"][label]["25s"]
     assert ahead["difference"] == pytest.approx(0.75) and ahead["pairs"] == 10
     assert ahead["lower"] < 0.75 < ahead["upper"]
-    more = {"peers_double_pendulum_2"}
-    assert set(found.figures) == {f"peers_{task}" for task in TASKS} | more
-    drawn = [
-        [text.get_text() for text in found.figures[name].legends[0].get_texts()]
-        for name in ("peers_double_pendulum", "peers_double_pendulum_2")
-    ]
-    ours, *others = (one.label for one in TASKS["double_pendulum"] if one.factor == 1)
-    assert drawn == [[ours, *others[:OTHERS]], [ours, *others[OTHERS:]]]

@@ -25,7 +25,7 @@ def test_ours_is_compared_with_the_recorded_runs_of_the_same_seeds(
         numbers = {"experience_s": 20.0, "saved_success_rate": 1.0, "trials": trials}
         leave_summary(run.out, experiment="any", seed=int(run.out.name[5:]), **numbers)
     found, recorded = results([run.out for run in runs], quick=False), read_json(RECORDED)
-    assert set(found.figures) == set(ANEW)
+    assert set(found.figures) == {"double_pendulum"}
     for task in ANEW:
         assert found.headline[f"experience_to_95_{task}_ours"] == 20.0
         assert found.headline[f"success_12.5s_{task}_ours"] == 0.0

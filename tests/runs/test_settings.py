@@ -113,13 +113,6 @@ def test_value_that_is_not_as_it_must_be_is_a_line_that_names_the_setting(name: 
         assert said.startswith(group or name) and entry in said and "\n" not in said, value
 
 
-def test_setting_of_another_experiment_is_refused_with_those_there_are() -> None:
-    with pytest.raises(
-        ValueError, match=r"^a setting of biorob must be one of noise_.*, got random"
-    ):
-        task("biorob").with_settings(random_action=0.5)
-
-
 def test_settings_of_a_run_are_read_as_they_were_written(tmp_path: Path) -> None:
     written = {"experiment": "biorob", "demonstrations": 'größe, it\'s \\ "1e5".npz'}
     written |= task("biorob").adjustable | {"tolerance": 1e-9}
@@ -168,11 +161,6 @@ def test_file_that_holds_something_else_is_a_line_that_names_it(
     assert not load.failure and load.refusal.startswith(f"mine.yaml: {said}"), load.refusal
     assert "\n" not in load.refusal and load.seconds < 5
     assert not Path("sprung").exists()
-
-
-def test_file_is_named_once() -> None:
-    with pytest.raises(SettingsError, match=r"must be given once, got settings=a settings=b"):
-        with_file(["settings=a", "settings=b"])
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ The recording is a file or folder of NPZ, CSV, LASA, Minari, robomimic or LeRobo
 has the columns demonstration,time,NAME,... If there are several targets, "target NAME",... follow:
 the target of each demonstration. Demonstrations may differ in length, and samples may be uneven.
 
-If their options are given, these steps run in this order: angles go on beyond a turn (rad, or
-degrees if they exceed 4 pi), pixels become metres, jumps are removed, the rest is smoothed,
-velocities are derived, rests are cut off. Then all are sampled as often as they were recorded,
+If their options are given, these steps run in this order: angles are unwrapped (rad, or degrees if
+they exceed 4 pi), pixels become metres, jumps are removed, all entries are smoothed, velocities are
+derived, and rests at both ends are cut off. Then all are sampled as often as they were recorded,
 aligned by dynamic time warping, and sampled at the robot's time step. Recordings of one duration
-whose stamps jitter or are at the robot's time step are sampled alone, unless --window is given.
+whose stamps jitter or are at the robot's time step are not aligned, unless --window is given.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
     if fixed := FIXED & {word.partition("=")[0] for word in changed}:
         raise RunError(f"pmil resume cannot change {', '.join(sorted(fixed))}")
     for word in words[2:]:
-        # the settings of Hydra name functions that it calls, and its flags other folders; a
-        # reference to another setting would hide the name of a module
+        # Hydra's own settings can name functions that it calls, and its flags other folders. A
+        # reference to another setting could hide the name of a module
         name, equals, value = word.partition("=")
         if not equals or name not in SETTINGS or (name == "experiment" and "$" in value):
             raise RunError(

@@ -185,7 +185,7 @@ def learned(
 
 
 def again(command: list[str], setting: str) -> str:
-    """A command line with this for the settings that say what to do with an earlier run."""
+    """The command line with ``setting`` in place of any ``resume`` or ``overwrite``."""
     kept = [word for word in command if word.partition("=")[0] not in ("resume", "overwrite")]
     return shlex.join([*kept, setting])
 

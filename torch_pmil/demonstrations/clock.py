@@ -68,8 +68,8 @@ def clock(times: Tensor) -> Clock:
 def common_clock(recorded: Sequence[Tensor]) -> Clock | None:
     """The clock from 0 of recordings that began together, or None if they last differently.
 
-    Durations may differ by a step or 2 %. The shortest counts, unless all have as many samples:
-    then stamps alone differ.
+    Durations may differ by a step or 2 %. The clock has the shortest one. If all recordings have
+    equally many samples, only their stamps differ, and it has the mean.
     """
     clocks = [clock(times) for times in recorded]
     step = float(np.median([one.step for one in clocks]))

@@ -113,12 +113,12 @@ def check_names(names: Sequence[str], count: int, name: str = "names", of: str =
 
 
 def check_kind(kind: str, head: bytes, sign: bytes = b"") -> None:
-    """Raise DemonstrationError if a file is empty, or begins as one of another kind does.
+    """Raise DemonstrationError if a file is empty, or begins like a file of another kind.
 
     Args:
-        kind: that it must be.
+        kind: the kind that it must be.
         head: its first bytes.
-        sign: its own one of ``SIGNS``.
+        sign: the one of ``SIGNS`` with which files of this kind begin, if any.
 
     Example:
         >>> check_kind("a Parquet file", b"PAR1", b"PAR1")

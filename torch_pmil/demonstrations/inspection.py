@@ -109,7 +109,7 @@ def spread(recordings: Recordings) -> np.ndarray:
 
 
 def velocities_of(recordings: Recordings) -> dict[int, int]:
-    """Columns that are the rate of change of another column: a velocity's position."""
+    """Columns that are rates of change, each with the column of its position."""
     samples = [
         (times.numpy(), values.numpy())
         for times, values in zip(recordings.times, recordings.values, strict=True)

@@ -24,7 +24,7 @@ def check_times(times: Sequence[Tensor], control_period: float) -> None:
 
 
 def doubt_of_times(times: Sequence[Tensor], control_period: float) -> str:
-    """What speaks against times (T_n,) in s, and what helps; empty if nothing does.
+    """Why times (T_n,) do not look like seconds, and what to do about it; empty if they do.
 
     Samples many control periods apart are doubted, unless they are a few keyframes, and so are
     recordings shorter than two control periods. The unit is a guess by the size of the steps.

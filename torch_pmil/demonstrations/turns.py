@@ -23,7 +23,7 @@ Shown = TypeVar("Shown", bound=Recordings | Demonstrations)
 
 
 def unwrapped(shown: Shown, turns: Mapping[str, float], near: Mapping[str, float]) -> Shown:
-    """Recordings or demonstrations whose angles go on beyond a turn, and begin within one turn.
+    """Recordings or demonstrations with unwrapped angles, which all begin within the same turn.
 
     Args:
         shown: what was recorded.
@@ -54,7 +54,7 @@ def unwrapped(shown: Shown, turns: Mapping[str, float], near: Mapping[str, float
 def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, int]]:
     """Entries that jump by a turn: its size, the first recording that does, and its sample.
 
-    Without the jumps the entry must be smooth, and with them it must not: a fast motion is none.
+    The entry must be smooth without the jumps and not smooth with them: a fast motion is no jump.
     """
     found: dict[str, tuple[float, int, int]] = {}
     for column, name in enumerate(shown.names):

@@ -98,7 +98,7 @@ def actions_for(model: mujoco.MjModel, forces: Array, positions: Array) -> Array
 
 
 def answer_at_rest(model: mujoco.MjModel) -> bool:
-    """Whether forces at rest follow from actions: not of muscles, nor where actions are rates."""
+    """Whether actions determine forces at rest; those of muscles and rate servos do not."""
     fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
     known = np.isin(model.actuator_biastype, [int(BIAS.mjBIAS_NONE), int(BIAS.mjBIAS_AFFINE)])
     direct = np.isin(model.actuator_dyntype, FILTERS) & (model.actuator_gainprm[:, 0] != 0)

@@ -24,11 +24,11 @@ class CartPoleEnv(MujocoRobotEnv):
     the pole from upright (0 up, pi hanging). The tip of the pole is at x + l sin q to the right and
     l cos q up, with l = 0.6 m. The action is the force on the cart in N; no motor turns the pole.
 
-    Published with PILCO (Deisenroth and Rasmussen, 2011): cart and pole of 0.5 kg each, the pole a
-    uniform rod of 0.6 m (0.5 m in their code, whose equations, gravity of 9.82 m/s² and start are
-    these), friction of the cart of 0.1 N·s/m, up to 10 N, held for 0.1 s, and that the start hangs
-    with standard deviations of 0.1 in all four entries. Chosen here: integration by Runge-Kutta at
-    2 ms, and exact sensors.
+    Published with PILCO (Deisenroth and Rasmussen, 2011): a cart and a pole of 0.5 kg each, and
+    cart friction of 0.1 N·s/m. The pole is a uniform rod of 0.6 m. The force is up to 10 N, held
+    for 0.1 s. The start hangs, with standard deviations of 0.1 in all four entries. Equations,
+    start and gravity (9.82 m/s²) are those of their code, where the pole is 0.5 m long. Chosen
+    here: integration by Runge-Kutta at 2 ms, and exact sensors.
 
     Args:
         torque_limit: largest absolute force of the motor in N.

@@ -83,7 +83,7 @@ class History:
 
     @property
     def origins(self) -> tuple[str, ...]:
-        """Name in ``names`` or ``labels`` of which each of the D entries is a value."""
+        """For each of the D entries, the name in ``names`` or ``labels`` whose value it holds."""
         entries, actions = self.past_entries * self.past, self.past_actions * self.labels
         return (*self.names, *entries, *actions)
 

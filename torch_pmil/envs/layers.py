@@ -85,7 +85,7 @@ def _counting(name: str, method: Callable[..., Any], calls: Counter[str]) -> Cal
 
 
 def _readings(layer: Any) -> np.ndarray:
-    """Readings (T + 1, D) after a reset by one seed, and random actions by another."""
+    """Readings (T + 1, D) after a seeded reset and seeded random actions."""
     layer.action_space.seed(0)
     shown = [layer.reset(seed=0)[0]]
     shown += [layer.step(layer.action_space.sample())[0] for _ in range(TRIED_STEPS)]

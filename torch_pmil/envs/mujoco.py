@@ -75,8 +75,8 @@ class MujocoRobotEnv(ModelledRobot):
             each; None for the ctrlrange of the model.
         control_period: seconds between two actions; a whole number of simulation time steps.
         actuators: numbers of the actuators that are actions, by the actions' names; None for all.
-        whole_start: full simulation states at a reset, of state vectors; None for the default pose
-            of what they do not hold.
+        whole_start: maps state vectors to full simulation states at a reset. If None, whatever they
+            do not hold starts in the default pose.
         targets: what each robot is to do, such as the place of its ball, (num_envs, K) or (K,) for
             one robot.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).

@@ -24,10 +24,11 @@ Chosen = Sequence[str] | Mapping[str, tuple[float, float]] | None
 
 
 def choose_actuators(model: mujoco.MjModel, actions: Chosen) -> dict[str, int]:
-    """Numbers of the actuators that are actions, by the names of the actions, in their ranges.
+    """The actuators that are actions: their numbers by action name, in the model's order.
 
-    A position servo of a joint has its joint's name if its gear is 1. An actuator without a name
-    has that of what it moves.
+    Ranges given in ``actions`` are written into the model. A position servo with gear 1 takes the
+    name of its joint. An unnamed actuator is named after its kind and what it moves, such as
+    "motor of hip".
 
     Raises:
         ValueError: there is no such actuator, or an action has no range.
@@ -55,7 +56,7 @@ def choose_actuators(model: mujoco.MjModel, actions: Chosen) -> dict[str, int]:
 def hold_others(model: mujoco.MjModel, chosen: Sequence[int], controls: Array) -> None:
     """Keep the actuators that are not actions at these controls (nu,).
 
-    Those of a joint that an action moves act no more: they are other ways to drive it.
+    Those that move the same joint as an action are switched off: they are other ways to drive it.
     """
     for number in set(range(model.nu)) - set(chosen):
         model.actuator_ctrllimited[number] = True

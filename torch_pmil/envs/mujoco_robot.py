@@ -36,9 +36,9 @@ class MujocoRobot:
     robot there. Pictures are taken by the model's camera ``"front"``, or by an added one that sees
     all of it.
 
-    A keyframe is the whole start: of joints that are not observed, of activations, of mocap bodies,
-    and of the actuators that are not actions, which keep its controls. Servos without a control in
-    it stay where they are. Hidden joints that equalities tie to observed ones follow them.
+    A keyframe also gives the start of hidden joints, activations and mocap bodies. Actuators that
+    are not actions keep its controls. Servos for which it has no control hold their position.
+    Hidden joints that equalities tie to observed ones follow them.
 
     Args:
         xml: the MJCF or URDF file, its text, or a specification.
@@ -154,9 +154,9 @@ class MujocoRobot:
 
     @property
     def held(self) -> Callable[[Tensor], Tensor] | None:
-        """Actions (*batch, F) that point at states (*batch, D); None unless all can.
+        """Maps states (*batch, D) to the actions (*batch, F) that have them as targets.
 
-        They are targets of position servos of the observed joints.
+        It is None unless all actions are targets of position servos of the observed joints.
         """
         kinds, entries, gears = actuator_kinds(self.model), list[int](), list[float]()
         for number in self.actuators.values():

@@ -21,18 +21,18 @@ BEYOND = 0.01  # of a joint's range: how far its stop, which is soft, may be pre
 
 
 class WholeStart:
-    """The full simulation state at a reset, of a model whose observed joints are somewhere.
+    """The full simulation state at a reset, given the state of the observed joints.
 
-    The rest of the model is where a keyframe has it, except for what equalities tie to the observed
-    joints, such as mimic joints and closed loops: it follows them.
+    The rest of the model starts as in a keyframe. What equalities tie to the observed joints, such
+    as mimic joints and closed loops, follows them instead.
 
     Args:
-        model: its mocap bodies and the activations of its servos are put where they start.
+        model: the robot's model; its mocap bodies are moved to where they start.
         joints: names of the observed joints.
         start: positions of these joints, (J,); None for those of the keyframe.
         keyframe: its number; None for the model's default pose.
-        controls: whether the keyframe has controls, and whether it has activations. Servos without
-            point where they are.
+        controls: whether the keyframe has controls, and whether it has activations. Servos for
+            which it has none hold their position.
 
     Raises:
         ValueError: a joint starts beyond its range, or observed joints are tied to one another.
@@ -142,7 +142,7 @@ def _check_ranges(model: mujoco.MjModel, qpos: Array) -> None:
 
 
 def _place_mocap_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Where a simulation from a state has them."""
+    """Move mocap bodies in the model to their start: a simulation from a state has them there."""
     for body in np.flatnonzero(model.body_mocapid >= 0):
         mocap = model.body_mocapid[body]
         model.body_pos[body], model.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]

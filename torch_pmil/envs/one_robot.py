@@ -32,9 +32,9 @@ class OneRobot:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
         control_period: seconds between two actions.
         angles: angles that the observation holds as cosine and sine.
-        steps_per_action: steps of the environment for which an action is held. If None, these are
-            the steps of ``dt`` that a control period of a gymnasium environment has; of an
-            environment of TorchRL it is one.
+        steps_per_action: steps of the environment for which an action is held. If None, a gymnasium
+            environment holds it for the steps of ``dt`` in a control period, and an environment of
+            TorchRL for one step.
 
     ``name`` is that of the environment; ``draws`` is True if it gives pictures, ``physical`` if it
     is a physical robot.

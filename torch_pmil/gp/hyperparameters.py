@@ -18,9 +18,10 @@ from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise_function
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
-# Penalties lower the likelihood beyond this ratio of standard deviations, and beyond this factor
-# between a lengthscale and the spread of its input. With PILCO's 500 and 100, rounding of variances
-# ends a search, and a first small motion determines what large actions do
+# Penalties lower the likelihood beyond this signal-to-noise ratio of standard deviations, and
+# beyond this ratio of a lengthscale to the spread of its input. With PILCO's 500 and 100, rounding
+# errors of variances end a search, and the model extrapolates from a small first motion to large
+# actions
 MOST_SIGNAL_TO_NOISE = 100.0
 MAX_LENGTHSCALE_RATIO = 30.0
 PENALTY_POWER = 30

@@ -271,7 +271,7 @@ class KernelExpansion:
 
 
 def joined(inputs: Tensor, weights: Tensor, gram_inverse: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """All inputs where each output has its own, (E, n, D), with zeros for those of the others."""
+    """Join inputs (E, n, D) of the outputs; an output has zero weights at inputs of the others."""
     if inputs.ndim == 3:
         own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
         inputs = inputs.flatten(0, 1)

@@ -44,9 +44,9 @@ def minimise(
 ) -> MinimiseResult:
     """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search, or another optimiser.
 
-    The parameters end at the best point that was seen. Where the objective raises one of the errors
-    in ``survives``, the value is 1e10 or more, or value or gradient are not finite, the line search
-    steps back.
+    The parameters end at the best point that was seen. The line search steps back where the
+    objective raises one of the errors in ``survives``. It also steps back where the value is 1e10
+    or more, or where value or gradient is not finite.
 
     Args:
         parameters: changed in place.

@@ -1,8 +1,8 @@
 r"""Rounding errors of the moments of GPs and RBF networks, and what they refuse.
 
 The variance (Eq. 16) is what remains of :math:`\alpha^2 - \operatorname{tr}(K^{-1} Q) + \beta^\top
-Q \beta - \mu^2`, terms :math:`W_{ij} Q_{ij}` whose weights grow with the condition number of K. It
-is lost in four ways, which the estimate adds:
+Q \beta - \mu^2`, terms :math:`W_{ij} Q_{ij}` whose weights grow with the condition number of K.
+Digits are lost in four ways, which the estimate adds up:
 
 .. math::
     \Delta_{ab} = c \, \varepsilon \Big[

@@ -55,9 +55,10 @@ def moment_match(
             symmetric, or is not finite.
         InaccurateMomentsError: a variance of a GP is less than its rounding error.
 
-    Accuracy: errors are below :func:`rounding_errors`. Gradients by the belief's mean have errors
-    of that estimate over a lengthscale, and difference quotients of step h of that estimate over h.
-    The variance of a network that hardly varies over the belief may be negative within it.
+    Accuracy: errors are below the estimates of :func:`rounding_errors`. Errors of gradients with
+    respect to the belief's mean are about that estimate divided by a lengthscale. Errors of
+    difference quotients with step h are about that estimate divided by h. The variance of a network
+    that is almost constant over the belief may be negative by no more than the estimate.
 
     Source: Deisenroth (2010), section 2.3.
 

@@ -91,9 +91,10 @@ def inducing_data(
 ) -> Tensor:
     r"""Inducing inputs, chosen greedily from the data, as indices (m,) in their order.
 
-    Each lowers the trace of the conditional covariances of all data the most, over the noise
-    variances, for all outputs together. Half this trace is what the evidence lower bound of a
-    sparse posterior loses (Titsias 2009). The search ends early when only rounding is left.
+    Each choice lowers the trace of the conditional covariances of all data the most. The trace is
+    divided by the noise variances and summed over the outputs. Half of it is what the evidence
+    lower bound of a sparse posterior loses (Titsias 2009). The search ends early when only rounding
+    errors are left.
 
     Args:
         inputs: (n, D); the work grows with n².

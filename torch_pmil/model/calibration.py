@@ -81,7 +81,8 @@ def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
 def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
     """Fraction of executed entries within two standard deviations of the predicted mean.
 
-    Predicted are marginals at t = 1..T, mean (T, D); executed rollouts x_0..x_T, (N, T + 1, D).
+    ``predicted`` holds marginals at t = 1..T, mean (T, D); ``executed`` holds rollouts x_0..x_T,
+    (N, T + 1, D).
 
     Example:
         >>> still = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))

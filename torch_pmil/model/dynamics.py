@@ -177,14 +177,14 @@ class GPDynamics(ForwardModel):
         return FunctionSamples.draw(self.expansion, self.sparse, count, generator)
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
-        """Maximise the marginal likelihood of each output by L-BFGS; tied outputs go together.
+        """Maximise the marginal likelihood of each output by L-BFGS; tied outputs share a search.
 
-        The best of several starts is kept: of the last optimum and :func:`pilco_starts`, under the
-        penalties of :mod:`torch_pmil.gp.hyperparameters`.
+        The starts are the last optimum and :func:`pilco_starts`; the best result is kept. The
+        penalties are those of :mod:`torch_pmil.gp.hyperparameters`.
 
-        Few data have several optima, and one of them may explain all motion as noise. With more
-        data the last optimum is the only start, while they begin with those of the last fit from
-        all starts, and are less than ``RESTART_GROWTH`` times as many.
+        Few data have several optima, and one of them may explain all motion as noise. Later fits,
+        to data that continue the earlier ones, start from the last optimum alone. All starts are
+        searched again once the data have grown by ``RESTART_GROWTH`` since the last full search.
 
         Args:
             inputs: features and actions (n, D' + F).

@@ -87,9 +87,9 @@ class Experience:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Take over the transitions of a checkpoint, in place of all others.
+        """Replace all transitions by those of a checkpoint.
 
-        There is room for as many more: they may be of another run.
+        The capacity grows by their number, since they may come from another run.
         """
         self.capacity += state_dict["count"]
         storage = LazyMemmapStorage(self.capacity)

@@ -85,7 +85,7 @@ class ForwardModel(nn.Module):
 
     @abstractmethod
     def functions(self, count: int, generator: torch.Generator) -> Functions:
-        """So many functions that the data leave possible, each of inputs of its own."""
+        """Draw ``count`` functions that are consistent with the data, each for its own inputs."""
 
     @property
     @abstractmethod
@@ -99,9 +99,9 @@ class ForwardModel(nn.Module):
 
     @property
     def lengthscales(self) -> Tensor:
-        """Distances (E, D' + F) of inputs that are far from each other: the spread of the data.
+        """Distances (E, D' + F) at which inputs count as far apart; here the spread of the data.
 
-        One for an input that never changes.
+        It is 1 for an input that never changes.
         """
         spread = self.train_inputs.std(0)
         return torch.where(spread > 0, spread, 1.0).expand(self.num_outputs, -1)
@@ -117,7 +117,7 @@ class ForwardModel(nn.Module):
         return self.targets.dim
 
     def known_part(self, space: StateSpace) -> KnownPart:
-        """What is known of the next state in a space of as many entries."""
+        """The known part of the dynamics, with as many actions as the model has in this space."""
         return self.targets.for_actions(self.num_inputs - len(space.feature_names))
 
     def fit_known_part(self, states: Tensor, successors: Tensor) -> None:
@@ -166,9 +166,9 @@ class ForwardModel(nn.Module):
 
 
 def known_part(targets: Targets, dim: int) -> KnownPart:
-    """What is known of the next state of D entries by targets, which may be a word.
+    """The known part that ``targets`` stands for, in a state of D entries.
 
-    Raises ValueError at another word.
+    Raises ValueError if ``targets`` is neither a :class:`KnownPart` nor one of the two words.
     """
     if isinstance(targets, KnownPart):
         return targets

@@ -25,17 +25,17 @@ def held_out_loss(
     span: int,
     every: int = 1,
 ) -> float:
-    r"""Nats that predictions of held-out observations lose for each entry beside perfect ones.
+    r"""Nats per entry by which predictions of held-out observations are worse than perfect ones.
 
     .. math:: \frac1{SM} \sum_{t, m} \log \mathcal N(z_{t+s, m} \mid z_{t+s, m}, \sigma_m^2)
               - \log \mathcal N(z_{t+s, m} \mid \mu_{tm}, \sigma_{tm}^2 + \sigma_m^2)
 
-    Eq. 30 compares one-step errors, which differ in meaning between step lengths: half a step has
-    half the way to miss. Here the mean and the variance of the observation z are those of particles
-    that start at a measured state and follow the executed actions for s steps, so that spans of the
-    same time are compared. The task's observation noise :math:`\sigma_m` is added, since errors
-    below it cost nothing. Hyper-parameters are fitted to all of the motion; a part of it is
-    predicted from the data of the others.
+    Eq. 30 compares one-step errors, which are not comparable between step lengths: in half a step
+    the state moves half as far. Here particles start at a measured state and follow the executed
+    actions for s steps, so that equal spans of time are compared. They give the mean and variance
+    of the observation z. The task's observation noise :math:`\sigma_m` is added, since errors below
+    it cost nothing. Hyper-parameters are fitted to the whole motion. Each part of it is then
+    predicted from the data of the other parts.
 
     Args:
         dynamics: model of the states, whose data and hyper-parameters are replaced.

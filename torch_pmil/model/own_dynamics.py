@@ -23,14 +23,15 @@ class OwnDynamics(ForwardModel):
 
     The object has ``fit(inputs, targets)`` and one of these:
 
-    - ``sample(count, generator)`` returns functions that the data leave possible. They map inputs
-      (count, \*batch, D' + F) to outputs (count, \*batch, E), with a gradient in the inputs.
+    - ``sample(count, generator)`` returns functions that are consistent with the data. They map
+      inputs (count, \*batch, D' + F) to outputs (count, \*batch, E), and are differentiable in the
+      inputs.
     - ``moments(inputs)`` returns mean and variance of the outputs, (\*batch, E) each, without
       noise. Function i is then :math:`\mu(x) + z_i \sigma(x)`: a particle that is one standard
       deviation off stays so along its trajectory.
 
-    The variances of what no function explains are its attribute ``noise``, (E,), once it is fitted,
-    or zero without one.
+    Its attribute ``noise``, (E,), holds the noise variances once the object is fitted. Without this
+    attribute the noise is zero.
 
     Inputs are features of the state and actions. Targets are what the known part leaves to learn:
     by default the changes of the state in one step. Each fit begins with the object as it was
@@ -67,7 +68,7 @@ class OwnDynamics(ForwardModel):
         return self._fitted[0]
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
-        """Take finite data (n, D' + F) and (n, E), to which the object is fitted when asked."""
+        """Take finite data (n, D' + F) and (n, E); the object is fitted to them on first use."""
         super().set_data(inputs, targets)
         self._fitted = ()
 
@@ -89,7 +90,7 @@ class OwnDynamics(ForwardModel):
         return outputs.mean(0), outputs.var(0)
 
     def functions(self, count: int, generator: torch.Generator) -> Functions:
-        """So many functions of the object."""
+        """Draw ``count`` functions from the object."""
         check_whole("count", count, 1)
         if not _has(self.own, "sample"):
             return self._by_moments(count, generator)

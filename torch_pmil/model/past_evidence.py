@@ -21,14 +21,14 @@ LIKELY = 3.0
 
 @dataclass(frozen=True)
 class PastEvidence:
-    """Nats by which the past explains a motion better than state and action alone.
+    """Evidence, in nats, that the past explains a motion better than state and action alone.
 
     Args:
-        of_actions: nats by the action so many periods before.
-        of_state: nats by how the state changed over the last period.
-        transitions: number of transitions that are the evidence.
-        time_step: a period, s.
-        remembered: how many of the last actions the state holds already.
+        of_actions: nats gained from a single past action, by its age in periods.
+        of_state: nats gained from the change of the state over the last period.
+        transitions: number of transitions behind the evidence.
+        time_step: length of a period, s.
+        remembered: number of past actions that the state already holds.
     """
 
     of_actions: Mapping[int, float]
@@ -39,7 +39,7 @@ class PastEvidence:
 
     @property
     def periods(self) -> int:
-        """How many periods before the action was that explains most, less what holding it costs."""
+        """Age in periods of the past action that gains most, after the cost of holding it."""
         return max(self.of_actions, key=self._beyond_its_price)
 
     @property
@@ -59,7 +59,7 @@ class PastEvidence:
 
     @property
     def by_name(self) -> dict[str, float]:
-        """Nats by what explains most, in words."""
+        """Nats gained from the best past action and from the last change, by a description."""
         late = f"the action {self.periods * self.time_step:g} s before"
         return {
             late: self.of_action,
@@ -68,9 +68,9 @@ class PastEvidence:
 
     @property
     def acts_late(self) -> bool:
-        """Whether actions that act late explain the motion, and not a state that shows too little.
+        """Whether the evidence points to delayed actions rather than to an incomplete state.
 
-        Past actions alone explain less of what is merely hidden than a change of the state does.
+        If a part of the state is hidden, the change of the state explains more than past actions.
         """
         return self._beyond_its_price(self.periods) >= self.of_state - LIKELY
 
@@ -88,7 +88,7 @@ def evidence_of_the_past(
 ) -> PastEvidence:
     """The evidence of rollouts, with arguments as for :func:`evidence_of_past_action`.
 
-    The space may hold the last ``remembered`` actions already: those before are tried.
+    If the space already holds the last ``remembered`` actions, only earlier ones are tried.
     """
     motion = states, actions, space
     farthest = min(remembered + FARTHEST, actions.shape[1] - 4)

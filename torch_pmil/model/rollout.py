@@ -96,7 +96,7 @@ def successor_belief(
 
     Args:
         state: p(x_t), D entries.
-        inputs: belief over the model's inputs, of which the last F are the actions.
+        inputs: belief over the model's inputs; the last F entries are the actions.
         input_slope: Sigma_x^-1 cov(x, inputs), (*batch, D, D' + F).
         moments: moments of the model at its inputs.
         known: known part of the dynamics.

@@ -1,8 +1,8 @@
 r"""Trajectories of particles that each follow a function of their own.
 
-A particle that draws its next state anew at each step forgets what the dynamics were where it was
-before. Here each particle keeps its function. Any policy and any model that draws functions can be
-predicted so; moments in closed form are not needed.
+A particle that draws its next state anew at each step forgets the dynamics that it met earlier at
+the same place. Here each particle keeps its function. This works for any policy and any model that
+draws functions; moments in closed form are not needed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from torch_pmil.model.rollout import check_start_belief, compiled_plan
 
 
 class _Bounded(torch.autograd.Function):
-    """States (*batch, D), whose cotangents are shortened to a norm of one in given units (D,)."""
+    """States (*batch, D) whose cotangents are clipped to a norm of one in given units (D,)."""
 
     @staticmethod
     def forward(ctx: Any, states: Tensor, units: Tensor) -> Tensor:
@@ -56,9 +56,9 @@ def follow_functions(
         policy, dynamics, space: as in :func:`~torch_pmil.model.rollout.predict_trajectory`.
         functions: N of those that ``dynamics`` draws.
         noise: added to the outputs of the model, (N, \*batch, T, E).
-        units: bound of the gradient, (D,): before each step it is shortened for each particle to
-            the norm one when the state is in these units. A trajectory that tumbles would otherwise
-            drown the others. None leaves it exact.
+        units: units of the state, (D,), in which the gradient of each particle is clipped to a norm
+            of one at each step. Otherwise a trajectory that tumbles would dominate the others. None
+            leaves the gradient exact.
     """
     T, D = noise.shape[-2], start.shape[-1]
     states = start.reshape(len(start), -1, D)

@@ -221,7 +221,7 @@ def _draw_outline(panel: Axes, time: np.ndarray, band: Band) -> None:
 
 
 def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
-    """Ends of an axis with all of ``shown``, and of the prediction what OVERSHOOT allows."""
+    """Ends of an axis that shows all of ``shown``, and as much prediction as OVERSHOOT allows."""
     low, high = np.nanmin(shown), np.nanmax(shown)
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
     there = np.isfinite(prediction)

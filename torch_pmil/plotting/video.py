@@ -237,8 +237,8 @@ def _run_ffmpeg(arguments: list[str], path: Path, chunks: Iterable[bytes], compl
 
 def _started(command: list[str], path: Path, file: int, said: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start ffmpeg with an open file of that path to fill."""
-    # If this process is killed, ffmpeg ends a little later, and must not make a file of that name
-    # again. So it gets the open file in place of the path if the system, as Linux, names open files
+    # If this process is killed, ffmpeg ends a little later, and must not create the file again. So
+    # it writes to the open file, if the system has a path for it, as Linux does
     opened = Path(f"/proc/self/fd/{file}")
     there = opened.exists()
     return subprocess.Popen(

@@ -6,6 +6,7 @@ import torch
 
 from reproduction.baselines.cross_entropy_method import minimise_by_cem
 from reproduction.baselines.ensemble_cem import EnsembleCEM
+from reproduction.baselines.network_ensemble import MEMBERS
 from tests.reproduction.baselines.test_bco import linear_system
 from torch_pmil.tasks.registry import load_experiment
 
@@ -28,9 +29,8 @@ def test_model_recovers_a_linear_system() -> None:
     peer.add(linear_system(seed=1))
     peer.fit()
     other = linear_system(seed=2)
-    states, members = other["observation"].float(), peer.model.members
-    fractions = other["action"].float() / 3.5
-    predicted = peer.model.sample(states.expand(members, -1, -1), fractions.expand(members, -1, -1))
+    states, fractions = other["observation"].float(), other["action"].float() / 3.5
+    predicted = peer.model.sample(states.expand(MEMBERS, -1, -1), fractions.expand(MEMBERS, -1, -1))
     differences = (other["next", "observation"] - other["observation"]).float()
     error = predicted.mean(0) - states - differences
     assert error.square().mean() < 0.02 * differences.square().mean()

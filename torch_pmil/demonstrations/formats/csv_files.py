@@ -148,7 +148,7 @@ def _trimmed(line: list[str], least: int = 0) -> list[str]:
 
 
 def _header(cells: list[str], leading: tuple[str, ...]) -> tuple[list[str], str]:
-    """The names of the columns, of which that of the time is TIME, and the unit of the time."""
+    """The names of the columns, with TIME for the column of the time, and the unit of the time."""
     header = [cell.strip() for cell in cells]
     check_count("entries", len(header))
     matches = {name: match for name in header if (match := TIME_NAME.fullmatch(name))}

@@ -209,7 +209,7 @@ def _given_names(feature: object) -> list[str]:
 
 
 def _times(stamps: np.ndarray, fps: float | None) -> np.ndarray:
-    """Times of an episode in double precision, even if the stamps are even but for rounding."""
+    """Times of an episode in double precision, evenly spaced if the stamps are, up to rounding."""
     steps = np.arange(len(stamps))
     step = 1 / fps if fps else (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
     even = stamps[0] + step * steps

@@ -108,8 +108,8 @@ def resample(values: Tensor, times: Tensor, time_step: float, samples: int | Non
         values: (*batch, T, M).
         times: of the samples, increasing, in s, (T,).
         time_step: between two samples of the result, in s.
-        samples: T', by default as many as the recording lasts for; what is more than half a step
-            beyond its end is that at its end.
+        samples: T'; by default, as many as fit into the recording. More than half a recorded step
+            beyond its end, the value at half a step beyond is repeated.
 
     Raises:
         AlignmentError: a shape is wrong, a number is not finite, times do not increase, or the time
@@ -203,7 +203,7 @@ def crop(
 def _matched_times(
     reference: np.ndarray, other: np.ndarray, settings: dict[str, float]
 ) -> np.ndarray:
-    """Times in the other of the reference's start, the middles of ``KNOTS`` parts, and the end."""
+    """Times in ``other`` that match the reference's start, the means of its parts, and its end."""
     pair = [np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)]
     path = np.array(dtw.warping_path_fast(*pair, **settings))
     matched = np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])  # the mean of a jump

@@ -59,11 +59,11 @@ class VelocityFilter:
 
         Args:
             positions: z, (J,).
-            stamp: time of the reading in s. A repeated or earlier one changes nothing. One that is
-                more than a second earlier is of a clock that began anew, and so does the filter.
+            stamp: time of the reading in s. A repeated or earlier one changes nothing. If it is
+                more than a second earlier, the clock was restarted, and so is the filter.
 
         Raises:
-            ValueError: an argument is not finite, or there are other numbers of positions.
+            ValueError: an argument is not finite, or the number of positions has changed.
         """
         z = finite_vector("positions", positions, None if self._stamp is None else len(self._q))
         if not math.isfinite(stamp):

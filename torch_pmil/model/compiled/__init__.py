@@ -44,8 +44,8 @@ def serves(constant: Sequence[Tensor], differentiable: Sequence[Tensor]) -> bool
     """Whether kernels compute with these tensors.
 
     Args:
-        constant: what they have no gradient in.
-        differentiable: what they have a gradient in, once.
+        constant: tensors in which the kernels have no gradient.
+        differentiable: tensors in which they have a gradient, which can be taken once.
     """
     ordinary = all(
         tensor.device.type == "cpu" and tensor.dtype == torch.float64

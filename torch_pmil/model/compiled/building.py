@@ -40,8 +40,8 @@ Array4 = Annotated[Array, 4]
 Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
-# products may be fused with sums, but sums not be reordered, which would undo the rounding in the
-# exponential where a processor fuses nothing
+# Products may be fused with sums, but sums must not be reordered. On processors that fuse nothing,
+# reordering would undo the rounding in the exponential
 OPTIONS = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
@@ -49,7 +49,7 @@ OPTIONS = {
     "_nrt": False,
     "no_cfunc_wrapper": True,
 }
-# of the compiler: more of it costs many times what it saves at run time
+# more optimisation by the compiler would cost many times what it saves at run time
 EFFORT = {"OPT": 1, "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
 # Numba's own annotations know neither all of its options nor how an intrinsic is called
@@ -121,9 +121,9 @@ def call(typing: Any, address: Any, arguments: Any) -> tuple[Any, Callable[..., 
 
 
 def compile_all() -> Path | None:
-    """Compile the kernels, or take them from the cache, whose folder is returned if there is one.
+    """Compile the kernels or load them from the cache; return its folder, or None without one.
 
-    A line on stderr says what takes its time.
+    A line on stderr reports progress, since compiling takes a while.
     """
     progress = _Progress()
     with event.install_listener("numba:compile", progress):

@@ -1,4 +1,4 @@
-"""Numba's cache on disk, of which nothing is loaded but what this user wrote, byte for byte.
+"""Numba's cache on disk, restricted to files that this user wrote and nobody has changed.
 
 A file holds machine code, and a pickle that executes what it names. So each begins with the SHA-256
 checksum of the rest, and must belong to this user and be writable by nobody else. Any other file is
@@ -65,7 +65,7 @@ class _CheckedFiles(caching.IndexDataCacheFile):
         self._write(self._data_path(name), self._dump(data))
 
     def _read(self, path: str) -> bytes:
-        """What :meth:`_write` wrote; raises OSError, without the file, if it is anything else."""
+        """What :meth:`_write` wrote. Any other file is deleted, and OSError is raised."""
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
             status = os.fstat(file.fileno())

@@ -38,8 +38,8 @@ from torch_pmil.model.compiled.small_matrices import (
     times_vector,
 )
 
-# how far below zero an eigenvalue of a covariance may be, of its largest variance or of one; the
-# formulas, which allow more, decide beyond
+# A negative eigenvalue of a covariance up to this share of its largest variance, or of one, counts
+# as rounding. Larger ones are left to the formulas in PyTorch, which allow more
 NEGLIGIBLE = 1e-6
 
 

@@ -129,7 +129,7 @@ def adjoint_of_network(
     d_belief: Array2,
     out: NetworkGradient,
 ) -> bool:
-    """:func:`adjoint_of_gp` for a network, to whose gradient ``out`` is added."""
+    """:func:`adjoint_of_gp` for a network, whose gradient is added to ``out``."""
     centre(f.inputs, mean, work.nu)
     clear_cotangents(d_mean, d_belief)
     for a in range(len(f.weights)):
@@ -175,7 +175,7 @@ def _adjoint_of_one(
     d_mean: Array1,
     d_belief: Array2,
 ) -> float:
-    """Adjoint of the mean of output a, its slope, and its square that the covariance lacks.
+    """Adjoint of output a's mean, its slope, and the squared mean that the covariance subtracts.
 
     Returns the sum of w_i q_i h_i with h_i = d_total + d_slope' B nu_i. It leaves h_i in
     ``work.f``, B d_slope in ``work.vectors[0]``, w_i q_i h_i nu_i in ``work.weighted``, and the

@@ -69,7 +69,7 @@ _packs_of_draws: WeakKeyDictionary[Drawn, Draws] = WeakKeyDictionary()
 
 
 def packed_draws(drawn: Drawn) -> Draws:
-    """Functions that were drawn, at inputs as they are, kept as long as they."""
+    """Drawn functions, packed for inputs that are not shifted, and cached while they exist."""
     if drawn not in _packs_of_draws:
         model = _packed(replace(drawn.expansion, gram_inverse=None))
         _packs_of_draws[drawn] = _draws_with(model, drawn, *drawn.weights.chunk(2, -1))
@@ -139,7 +139,7 @@ _packs: WeakKeyDictionary[KernelExpansion, Functions] = WeakKeyDictionary()
 
 
 def functions_of(f: KernelExpansion) -> Functions:
-    """A GP's posterior as the kernels read it, kept as long as it."""
+    """A GP's posterior as the kernels read it, cached while the posterior exists."""
     if f not in _packs:
         _packs[f] = _packed(f)
     return _packs[f]

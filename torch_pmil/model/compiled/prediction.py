@@ -1,4 +1,4 @@
-"""The kernels as functions of PyTorch; None is no answer, and the formulas say why."""
+"""The kernels as PyTorch functions; where they return None, the formulas find out why."""
 
 from __future__ import annotations
 

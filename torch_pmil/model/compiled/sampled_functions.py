@@ -91,7 +91,8 @@ def evaluate(
 ) -> float:
     """Output a of function i, and its slope (W,).
 
-    Scratch are a point (D' + F,) and the terms of a sum, as many as the most of them.
+    ``point`` (D' + F,) and ``terms`` are scratch; ``terms`` has at least ``draws.most_terms``
+    entries.
     """
     scales, origin = draws.scales[a], draws.origin
     fill(slope, 0.0)

@@ -159,7 +159,7 @@ def adjoint_of_particles(
     Args:
         tape: filled by :func:`follow`.
         d_states: cotangents, (N, T, D).
-        units: in which the cotangent of a state has at most the norm one, (D,); 0 for no bound.
+        units: units (D,) in which the cotangent of a state is clipped to norm one; 0 for no bound.
         rows_of_centres: of the network, (m, W).
         d_start: out, gradients in the starts, (N, D).
         of_kernels: out, kernels times the gradients in the network's outputs, (F, N, T, m).
@@ -234,7 +234,7 @@ def _adjoint_of_network(
         work.d_inputs[d] += (sums[d] - inputs[d] * value) / network.squares[k, d]
 
 
-# a line search tries such points, and leaves them
+# a line search may try parameters at which numbers overflow; it then steps back
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def roll_back(
     robot: Robot,

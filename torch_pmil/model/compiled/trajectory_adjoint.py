@@ -64,7 +64,7 @@ def adjoint(
         robot, tape, work: as in :func:`predict`, which has filled the tape.
         d_means, d_covs: cotangents, (T, D) and (T, D, D), the latter symmetric.
         d_mean, d_cov: out, gradients in mean (D,) and covariance (D, D) of the start.
-        out: gradient in the network, to which is added.
+        out: gradient in the network; the result is added to it.
     """
     clear_cotangents(d_mean, d_cov)
     means, covs = tape.mean, tape.cov

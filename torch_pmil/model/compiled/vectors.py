@@ -1,8 +1,8 @@
 """Vectors of eight float64 for Numba, which LLVM lowers to AVX2, AVX-512 or NEON alike.
 
-Numba does not vectorise a loop of scalars that ends in an exponential of the C library. Here it is
-a power of two, which is a polynomial of whole vectors, and a loop determines which numbers it keeps
-in registers.
+Numba does not vectorise a loop over scalars that calls the exponential of the C library. Here the
+exponential is a power of two, computed as a polynomial of whole vectors. A loop written by hand
+also controls which numbers stay in registers.
 
 Indices count the entries of a C-contiguous array from its first. The first argument of each
 function, ``typing``, is Numba's: a call leaves it out.

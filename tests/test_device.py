@@ -28,11 +28,9 @@ class Parts:
     """What a prediction needs, on a device.
 
     Args:
-        device: where all of it is.
         inputs, changes: data of the model, (60, 4) and (60, 2), on the CPU.
     """
 
-    device: str
     inputs: Tensor
     changes: Tensor
     policy: RBFPolicy
@@ -57,12 +55,12 @@ class Parts:
         dynamics = GPDynamics(4, 2)
         dynamics.fit(inputs, changes)
         dynamics.to(device)
-        return cls(device, inputs, changes, policy.to(device), dynamics, demonstrated, initial)
+        return cls(inputs, changes, policy.to(device), dynamics, demonstrated, initial)
 
     def kl(self) -> TrajectoryKLLoss:
         """The objective of an imitation."""
         parts = self.policy, self.dynamics, SPACE, self.demonstrated
-        return TrajectoryKLLoss(*parts, noise_std=0.1).to(self.device)
+        return TrajectoryKLLoss(*parts, noise_std=0.1).to(self.initial.mean.device)
 
 
 def results(device: str) -> list[Tensor]:

@@ -34,9 +34,8 @@ PARTICLES = 50  # of each step of Adam
 REDRAWN = 10  # steps after which particles follow other functions
 RATE, LAST_RATE = 0.03, 0.003  # of Adam, at first and at last; parameters are of order one
 JUDGES = 200  # particles by which policies are compared
-PROMISING = (
-    0.5  # predicted success rate from which it counts: the model of early trials errs by more
-)
+# predicted success rate from which it counts: the model of early trials errs by more
+PROMISING = 0.5
 
 
 def search_on_samples(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
 
 from torch_pmil.control.policy_file import load_policy
 from torch_pmil.control.state_policy import StatePolicy
@@ -19,6 +20,13 @@ from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.state_checks import check_model, check_state
 from torch_pmil.trainer.trials import success_rate
+
+
+class Acting(Protocol):
+    """What acts on robots, such as a :class:`StatePolicy`."""
+
+    def as_tensordict_module(self) -> TensorDictModule:
+        """A module that reads the readings and writes the actions."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,7 @@ class Learned:
 
 
 @torch.no_grad()
-def executed(policy: StatePolicy, task: Task, starts: int, seed: int) -> TensorDictBase:
+def executed(policy: Acting, task: Task, starts: int, seed: int) -> TensorDictBase:
     """Rollouts of a policy from fresh starts, over the whole horizon, (starts, T)."""
     return task.robots(starts, seed).rollout(task.horizon, policy.as_tensordict_module())
 
@@ -85,13 +93,13 @@ def load_learned(folder: Path, experiment: Task) -> Learned:
 
 
 @torch.no_grad()
-def measured_success(policy: StatePolicy, experiment: Task, starts: int, seed: int) -> float:
+def measured_success(policy: Acting, experiment: Task, starts: int, seed: int) -> float:
     """Success rate of a policy on an experiment's robot, by the true states.
 
     What noisy sensors say does not count.
 
     Args:
-        policy: of the robot's states.
+        policy: acts on the readings.
         experiment: says the robot, the horizon and what a success is.
         starts: number of rollouts.
         seed: of the starts.

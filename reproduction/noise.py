@@ -1,9 +1,10 @@
-"""The double pendulum with noisy sensors: 0.05 rad and 0.5 rad/s, at each step anew.
+"""The double pendulum with noisy sensors, 0.05 rad and 0.5 rad/s or less, at each step anew.
 
-Policy and model see the last three readings, with the torques between them, or the last reading
-alone. Success is that of the saved policies from fresh starts, by the true states. The model of all
-experience then predicts 1, 5, 10 and 25 steps of the saved policy from the states of fresh
-rollouts, and is compared with the readings there.
+Policy and model see the last reading alone, or the last three with the torques between them, or
+positions alone. Success is that of the saved policies from fresh starts, by the true states. The
+model of all experience then predicts 1, 5, 10 and 25 steps of the saved policy from the states of
+fresh rollouts, and is compared with the readings there. Policies that see one reading also act
+behind a filter (:mod:`reproduction.filtering`).
 """
 
 from __future__ import annotations
@@ -12,54 +13,73 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 
-import numpy as np
-
-from reproduction.delay_calibration import AHEAD, CALIBRATION, STARTS, calibrations, rows_of
-from reproduction.remembering import needed_runs, results_of
+from reproduction.delay_calibration import AHEAD, CALIBRATION, calibrations, rows_of
+from reproduction.filtering import behind_filters
+from reproduction.remembering import START_SEED, STARTS, needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
-from reproduction.robustness import with_noise
+from reproduction.robustness import noise_of, with_noise
+from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
+from torch_pmil.trainer.ending import LIMIT
 
-NOISE_STD = 0.05  # rad
+NOISE_STD, LESS = 0.05, 0.02  # rad
 PAST = 2  # readings and torques before the last ones
+FORESEEN = 20  # rollouts from whose states a model predicts
 
 
 def noisy() -> dict[str, Task]:
-    """The robot with noisy sensors, with and without a history, by its name in the figure.
+    """The robot with noisy sensors, by its name in the figure.
 
     Example:
         >>> [task.space.dim for task in noisy().values()]
-        [16, 4]
+        [4, 16, 4, 6]
     """
     plain = replace(with_noise(NOISE_STD), name="double_pendulum_noisy")
-    remembering = with_history(plain, past_entries=PAST, past_actions=PAST)
-    name = f"{plain.name}_remembered"
+    less = replace(with_noise(LESS), name="double_pendulum_less_noisy")
+    past = with_history(plain, past_entries=PAST, past_actions=PAST)
+    places = with_history(less, positions_only=True, past_actions=1)
     return {
-        "three readings": replace(remembering.with_settings(tied_lengthscales=True), name=name),
         "one reading": plain,
+        "three readings": replace(
+            past.with_settings(tied_lengthscales=True), name=f"{plain.name}_remembered"
+        ),
+        f"one reading, {LESS:g} rad": less,
+        f"positions alone, {LESS:g} rad": replace(places, name=f"{less.name}_positions"),
     }
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Success over experience and of the saved policies, and calibration over the steps ahead."""
-    known, starts = noisy(), 5 if quick else STARTS
+    """Success over experience, of the saved policies and behind filters, and calibration."""
+    known, starts, foreseen = noisy(), *((20, 5) if quick else (STARTS, FORESEEN))
     found, each = results_of(noisy, "noise", folders, quick), len(folders) // len(known)
-    headline, details = dict(found.headline), []
+    headline, rows = dict(found.headline), []
+    measured = found.details["measured"]
     for number, task in enumerate(known.values()):
-        own = folders[number * each : (number + 1) * each]
-        runs = [calibrations(folder, task, starts) for folder in own]
-        details += [rows_of(run) for run in runs]
+        own = slice(number * each, (number + 1) * each)
+        runs = [calibrations(folder, task, foreseen) for folder in folders[own]]
+        rows += [rows_of(run) for run in runs]
         end = f"_{task.name}" if number else ""
         headline |= {
-            f"{quantity}_{steps}_ahead{end}": float(
-                np.mean([getattr(run[steps], quantity) for run in runs])
-            )
+            f"{quantity}_{steps}_ahead{end}": fmean(getattr(run[steps], quantity) for run in runs)
             for quantity in CALIBRATION
             for steps in AHEAD
         }
-    return Results(headline, found.figures, {**found.details, "calibration": details})
+        promised = [run for run in measured[own] if run["stop_reason"] != LIMIT]
+        kept = [run["success_rate"] >= task.method.ending.promise for run in promised]
+        headline |= {f"promised{end}": len(promised), f"promise_kept{end}": sum(kept)}
+    task, plain = known["one reading"], load_experiment("double_pendulum")
+    given = task, plain, noise_of(NOISE_STD), starts, START_SEED
+    filtered = [behind_filters(folder, *given) for folder in folders[:each]]
+    headline |= {
+        "limit_success_rate": fmean(run["robot"] for run in filtered),
+        "filtered_success_rate": fmean(run["model"] for run in filtered),
+        "least_filtered_success_rate": min(run["model"] for run in filtered),
+    }
+    details = {**found.details, "calibration": rows, "behind_filters": filtered}
+    return Results(headline, found.figures, details)
 
 
 NOISE = PaperExperiment(

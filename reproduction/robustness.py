@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from reproduction.baselines.cloning import record_pairs
 from reproduction.learned import remeasured
@@ -53,13 +54,22 @@ def with_noise(std: float, name: str = "double_pendulum") -> Task:
     The states that the policy sees and the model learns from are noisy. So are those by which a run
     judges its own rollouts.
     """
-    experiment = load_experiment(name)
-    noise = std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
+    experiment, noise = load_experiment(name), noise_of(std)
     return replace(
         experiment,
         make_env=partial(experiment.make_env, observation_std=noise.tolist()),
         initial=experiment.initial.add_noise(noise**2),
     )
+
+
+def noise_of(std: float) -> Tensor:
+    """Standard deviations of the readings q1, dq1, q2, dq2, of ``std`` (rad) in the angles, (4,).
+
+    Example:
+        >>> noise_of(0.05).tolist()
+        [0.05, 0.5, 0.05, 0.5]
+    """
+    return std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
 
 
 def with_demonstrations(count: int) -> Task:

@@ -31,7 +31,7 @@ def test_robots_are_the_same_but_for_what_they_remember() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "tasks"), [("positions_only", 1), ("delay", 2), ("biorob_history", 2), ("noise", 2)]
+    ("name", "tasks"), [("positions_only", 1), ("delay", 2), ("biorob_history", 2), ("noise", 4)]
 )
 def test_each_task_has_runs_of_its_own(name: str, tasks: int) -> None:
     runs = PAPER[name].runs(Path("runs"), False)

@@ -57,6 +57,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     found, each = results_of(noisy, "noise", folders, quick), len(folders) // len(known)
     headline, rows = dict(found.headline), []
     measured = found.details["measured"]
+    assert isinstance(measured, list)  # a summary of each run
     for number, task in enumerate(known.values()):
         own = slice(number * each, (number + 1) * each)
         runs = [calibrations(folder, task, foreseen) for folder in folders[own]]

@@ -82,6 +82,30 @@ def test_exported_program_acts_alike(policy: ModulePolicy, tmp_path: Path, draws
     assert_close(torch.export.load(path).module()(states), policy(SPACE.features(states)))
 
 
+@torch.no_grad()
+def test_dropout_is_off_whatever_the_mode(tmp_path: Path) -> None:
+    policy = made(nn.Sequential(nn.Linear(3, 8), nn.Dropout(0.5), nn.Tanh(), nn.Linear(8, 2)))
+    state_policy = StatePolicy(policy, SPACE, control_period=0.1).train()
+    assert torch.equal(state_policy(torch.ones(2)), state_policy(torch.ones(2)))
+    without = made(nn.Sequential(policy.module[0], nn.Tanh(), policy.module[3]))  # type: ignore[index]
+    assert torch.equal(policy(torch.ones(3)), without(torch.ones(3)))
+
+
+class _Random(nn.Linear):
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        return super().forward(nn.functional.dropout(features))
+
+
+class _Detached(nn.Linear):
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        return super().forward(features).detach()
+
+
+class _OfPairs(nn.Linear):
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        return super().forward(features.view(-1, 3))
+
+
 class _Words(nn.Linear):
     def forward(self, features: torch.Tensor) -> str:  # type: ignore[override]
         return "none"
@@ -95,6 +119,10 @@ class _Words(nn.Linear):
         (nn.Linear(3, 1), ValueError, r"to \(2, 2\), got \(2, 1\)"),
         (nn.Linear(4, 2), ValueError, r"features \(2, 3\) .* its call failed: mat1 and mat2"),
         (_Words(3, 2), TypeError, "got a str"),
+        (_Random(3, 2), ValueError, "policy must act alike .* got random actions"),
+        (_Detached(3, 2), ValueError, "must be differentiable"),
+        (_OfPairs(3, 2), ValueError, r"features \(3,\) to \(2,\), got \(1, 2\)"),
+        (nn.Bilinear(3, 3, 2), ValueError, "its call failed: .*missing 1 required"),
     ],
 )
 def test_module_that_is_no_policy_is_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any
 
 import pytest
@@ -172,9 +173,45 @@ def test_wrong_moments_are_refused(
         own.predict(torch.zeros(5, 3, dtype=torch.float64))
 
 
-def test_object_without_the_methods_is_refused() -> None:
-    with pytest.raises(TypeError, match=r"fit.*got Linear with none of them"):
-        OwnDynamics(nn.Linear(3, 2), 3, 2)
+class _Locked(ByMoments):
+    def __init__(self) -> None:
+        self.lock = Lock()
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (nn.Linear(3, 2), r"fit.*got Linear with none of them"),
+        (ByMoments, "must be an object, got the class ByMoments"),
+        (_Locked(), "copy.deepcopy can copy, got cannot pickle"),
+    ],
+)
+def test_what_is_no_model_is_refused(model: object, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        OwnDynamics(model, 3, 2)
+
+
+class _NoSlope(ByMoments):
+    def moments(self, inputs: Tensor) -> Any:
+        mean, variance = super().moments(inputs)
+        return mean.detach(), variance
+
+
+class _NoSlopes(BySamples):
+    def sample(self, count: int, generator: torch.Generator) -> Any:
+        functions = super().sample(count, generator)
+        return lambda inputs: functions(inputs.detach())
+
+
+@pytest.mark.parametrize("model", [_NoSlope(), _NoSlopes()])
+def test_model_without_a_slope_is_refused(model: object, draws: Draws) -> None:
+    own = OwnDynamics(model, 3, 2)
+    own.fit(*data(draws))
+    inputs = torch.zeros(4, 1, 3, dtype=torch.float64)
+    functions = own.functions(4, torch.Generator())
+    assert functions(inputs).isfinite().all()  # without a search nothing is lacking
+    with pytest.raises(ValueError, match="must be differentiable in the inputs"):
+        functions(inputs.requires_grad_())
 
 
 def test_model_without_data_says_so() -> None:

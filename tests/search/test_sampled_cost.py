@@ -68,9 +68,11 @@ def test_loss_is_the_sum_of_its_steps_and_has_their_gradient() -> None:
     [
         (lambda states, actions: 1.0, TypeError, r"must return a tensor \(500, 4\), got float"),
         (lambda states, actions: states, ValueError, r"must return \(500, 4\) for states"),
+        (lambda states, actions: (states[..., 0] - 99).sqrt(), ValueError, "got nan at q = .*, dq"),
+        (lambda states, actions: actions[..., 0].detach(), ValueError, "must be differentiable"),
     ],
 )
-def test_cost_of_another_shape_is_refused(cost: Any, error: type[Exception], message: str) -> None:
+def test_what_is_no_cost_is_refused(cost: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         loss_of(cost).per_step(start_belief(Draws(1)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -24,7 +25,8 @@ class ModulePolicy(PolicyNetwork):
 
     The module f maps features (\*batch, D'), divided by their typical sizes s, to (\*batch, F). So
     its parameters are of order one in any units, as a search by Adam needs them. It has no moments
-    in closed form, and is predicted by samples. Its numbers become float64.
+    in closed form, and is predicted by samples. Its numbers become float64. It stays in evaluation
+    mode, without dropout, so that the robot does what was predicted.
 
     Args:
         module: f.
@@ -34,7 +36,8 @@ class ModulePolicy(PolicyNetwork):
 
     Raises:
         TypeError: the module is not a ``torch.nn.Module``, or does not return a tensor.
-        ValueError: it has no parameters, or its output has another shape or is not finite.
+        ValueError: it has no parameters, or does not take any batch. Or its output has another
+            shape, is not finite, is random, or has no gradient.
 
     Example:
         >>> one = torch.ones(1)
@@ -47,8 +50,14 @@ class ModulePolicy(PolicyNetwork):
         if not isinstance(module, nn.Module):
             raise TypeError(f"policy must be a torch.nn.Module, got {type(module).__name__}")
         super().__init__(scale, u_max, u_middle)
-        self.module = module.double()
+        self.module = module.double().eval()
         self._check()
+
+    def train(self, mode: bool = True) -> Self:
+        """Change nothing in the module, which stays in evaluation mode."""
+        super().train(mode)
+        self.module.eval()
+        return self
 
     @property
     def controller(self) -> ModulePolicy:
@@ -68,24 +77,35 @@ class ModulePolicy(PolicyNetwork):
 
         minimise(parameters, error, FITS)
 
-    @torch.no_grad()
     def _check(self) -> None:
         """Raise unless the module maps features to actions and can be searched."""
         if not any(parameter.requires_grad for parameter in self.module.parameters()):
             raise ValueError("policy must have parameters to search, got a module without any")
-        features = torch.zeros(2, self.num_inputs, dtype=torch.float64)
-        wanted = f"features (2, {self.num_inputs}) to (2, {len(self.u_max)})"
+        for batch in ((2,), (), (2, 3)):
+            output = self._tried(batch)
+            if not output.requires_grad:
+                raise ValueError("policy must be differentiable, got actions without a gradient")
+            if not torch.equal(output, self._tried(batch)):
+                raise ValueError("policy must act alike at the same features, got random actions")
+
+    @torch.enable_grad()
+    def _tried(self, batch: tuple[int, ...]) -> Tensor:
+        """Output of the module for such a batch, if it is one."""
+        features = torch.ones(*batch, self.num_inputs, dtype=torch.float64)
+        shape = (*batch, len(self.u_max))
+        wanted = f"features {tuple(features.shape)} to {shape}"
         try:
             output = self.module(features)
-        except RuntimeError as error:  # PyTorch's for shapes that do not fit
-            why = str(error).splitlines()[0]
+        except (RuntimeError, TypeError, ValueError, IndexError) as error:
+            why = str(error).splitlines()[0]  # PyTorch's, for shapes that do not fit
             raise ValueError(f"policy must map {wanted}, but its call failed: {why}") from error
         if not isinstance(output, Tensor):
             raise TypeError(f"policy must map {wanted}, got a {type(output).__name__}")
-        if output.shape != (2, len(self.u_max)):
+        if output.shape != shape:
             raise ValueError(f"policy must map {wanted}, got {tuple(output.shape)}")
         if not output.isfinite().all():
             raise ValueError(f"policy must map {wanted}, got numbers that are not finite")
+        return output
 
 
 # how a policy in place of the RBF network is made

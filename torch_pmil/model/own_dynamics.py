@@ -42,7 +42,7 @@ class OwnDynamics(ForwardModel):
         num_inputs, num_outputs, targets: as in :class:`ForwardModel`.
 
     Raises:
-        TypeError: the object has no such methods.
+        TypeError: the object has no such methods, or cannot be copied.
 
     Example: see ``docs/how_to/own_model.md``.
     """
@@ -97,7 +97,9 @@ class OwnDynamics(ForwardModel):
         functions = self.own.sample(count, generator)
 
         def checked(inputs: Tensor) -> Tensor:
-            return self._as_wanted("functions of sample()", functions(inputs), inputs)
+            outputs = self._as_wanted("functions of sample()", functions(inputs), inputs)
+            _check_slope("functions of sample()", outputs, inputs)
+            return outputs
 
         return checked
 
@@ -128,6 +130,7 @@ class OwnDynamics(ForwardModel):
                 f"moments() of the model must return mean and variance, got {type(found).__name__}"
             )
         mean, variance = (self._as_wanted("moments()", part, inputs) for part in found)
+        _check_slope("the mean of moments()", mean, inputs)
         if (variance < 0).any():
             least = variance.min().item()
             raise ValueError(f"moments() of the model must give variances, got {least:g}")
@@ -146,14 +149,29 @@ class OwnDynamics(ForwardModel):
         return outputs.double()
 
 
+def _check_slope(what: str, outputs: Tensor, inputs: Tensor) -> None:
+    """Raise ValueError if a search would find no slope in a model."""
+    if inputs.requires_grad and torch.is_grad_enabled() and not outputs.requires_grad:
+        raise ValueError(
+            f"{what} of the model must be differentiable in the inputs, got numbers without a "
+            "gradient"
+        )
+
+
 def check_own_model(model: object) -> None:
-    """Raise TypeError unless an object has the methods of a model."""
+    """Raise TypeError unless an object has the methods of a model, and can be copied."""
+    if isinstance(model, type):
+        raise TypeError(f"model must be an object, got the class {model.__name__}: call it first")
     known = [name for name in ("fit", "sample", "moments") if _has(model, name)]
     if "fit" not in known or len(known) < 2:
         raise TypeError(
             "model must have the methods fit(inputs, targets), and sample(count, generator) or "
             f"moments(inputs), got {type(model).__name__} with {', '.join(known) or 'none of them'}"
         )
+    try:
+        copy.deepcopy(model)
+    except (TypeError, RuntimeError, NotImplementedError) as error:
+        raise TypeError(f"model must be one that copy.deepcopy can copy, got {error}") from error
 
 
 def _has(model: object, method: str) -> bool:

@@ -33,7 +33,7 @@ class ExpectedSampledCost(ExpectedCost):
 
     Raises:
         ValueError: the horizon or the reduction is not as it must be. When called: the costs have
-            another shape.
+            another shape, are no numbers or have no gradient.
         TypeError: when called: the cost function does not return a tensor.
 
     Example:
@@ -90,7 +90,20 @@ class ExpectedSampledCost(ExpectedCost):
                 f"cost must return {wanted} for states {tuple(states[..., 1:, :].shape)} and "
                 f"actions {tuple(actions.shape)}, got {tuple(costs.shape)}"
             )
+        if actions.requires_grad and not costs.requires_grad:
+            raise ValueError(
+                "cost must be differentiable in states or actions, got numbers without a gradient"
+            )
+        self._check_numbers(costs, states[..., 1:, :])
         return costs
+
+    def _check_numbers(self, costs: Tensor, states: Tensor) -> None:
+        """Raise ValueError if a cost is not a number at a finite state (*batch, D)."""
+        wrong = costs.isnan() & states.isfinite().all(-1)
+        if wrong.any():
+            values = zip(self.space.names, states[wrong][0].tolist(), strict=True)
+            where = ", ".join(f"{name} = {value:.4g}" for name, value in values)
+            raise ValueError(f"cost must be a number at every state, got nan at {where}")
 
     def _costs(self, observed: Gaussian) -> NoReturn:
         raise NotImplementedError(

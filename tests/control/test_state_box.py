@@ -134,8 +134,14 @@ def test_penalty_is_minus_the_log_of_what_stays(states: Gaussian) -> None:
     "limits, threshold, line",
     [
         ({"dq3": (0.0, 1.0)}, 0.05, "limits must be of q1, dq1, q2, dq2, x1, y1, x2, y2, got dq3"),
-        ({"q1": (1.0, 1.0)}, 0.05, "limits of q1 must be low < high, got 1.0 and 1.0"),
-        ({"q1": (math.nan, 1.0)}, 0.05, "limits of q1 must be low < high, got nan and 1.0"),
+        ({"q1": (1.0, 1.0)}, 0.05, "limits of q1 must be two numbers, low < high, got (1.0, 1.0)"),
+        (
+            {"q1": (math.nan, 1.0)},
+            0.05,
+            "limits of q1 must be two numbers, low < high, got (nan, 1.0)",
+        ),
+        ({"q1": 1}, 0.05, "limits of q1 must be two numbers, low < high, got 1"),
+        ({"q1": ("0", "1")}, 0.05, "limits of q1 must be two numbers, low < high, got ('0', '1')"),
         ({"q1": (-INF, INF)}, 0.05, "limits must hold a finite number, got {'q1': (-inf, inf)}"),
         ({}, 0.05, "limits must hold a finite number, got {}"),
         ({"q1": (0.0, 1.0)}, 1.0, "threshold must be below 1, got 1.0"),

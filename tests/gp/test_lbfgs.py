@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.testing import assert_close
 
-from torch_pmil.gp.lbfgs import NotFiniteError, minimise, minimise_function
+from torch_pmil.gp.lbfgs import NotFiniteError, check_optimizer, minimise, minimise_function
 
 
 class NoValueError(ValueError):
@@ -180,3 +180,40 @@ def test_tolerance_of_change_is_that_of_the_loss_in_one_iteration() -> None:
     assert coarse.stop_reason == fine.stop_reason == "no further progress"
     assert 1e-10 < coarse.loss < 1e-5
     assert fine.loss < 1e-10
+
+
+class Deaf(torch.optim.SGD):
+    """Does not call its closure."""
+
+    def step(self, closure: object = None) -> None:
+        super().step()
+
+
+class Alone(torch.optim.SGD):
+    """Takes no closure."""
+
+    def step(self) -> None:
+        super().step()
+
+
+@pytest.mark.parametrize(
+    ("optimizer", "said"),
+    [
+        (Deaf, "got Deaf: step of the optimizer must call its closure, got no call"),
+        (Alone, "got Alone: Alone.step() takes 1 positional argument but 2 were given"),
+        (lambda parameters: None, "got <lambda>: 'NoneType' object has no attribute 'step'"),
+        (torch.optim.SparseAdam, "got SparseAdam: SparseAdam does not support dense gradients"),
+        (torch.optim.Adam([torch.zeros(1)]), "got Adam: 'Adam' object is not callable"),
+    ],
+)
+def test_optimiser_that_cannot_search_is_refused_in_one_line(optimizer: object, said: str) -> None:
+    with pytest.raises(TypeError) as error:
+        check_optimizer(optimizer)
+    line = f"optimizer must be a torch.optim class whose step takes a closure, {said}"
+    assert str(error.value).startswith(line) and "\n" not in str(error.value)
+
+
+def test_search_by_an_optimiser_that_evaluates_nothing_is_an_error() -> None:
+    x = parameter(3.0)
+    with pytest.raises(TypeError, match="must call its closure, got no call"):
+        minimise([x], lambda: (x**2).sum(), 5, optimizer=Deaf)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from tests.tasks.test_own_robot import START, Arm
+from tests.tasks.test_own_robot import START, Arm, at_rest
 from torch_pmil import Demonstrations, MatchSpace, Task
 from torch_pmil.demonstrations import Recordings
 from torch_pmil.envs.turning import Continued, Turning
@@ -111,6 +111,15 @@ def test_undeclared_jump_and_hole_are_named() -> None:
     message = "demonstration 0 has no samples from 0.49 to 1.11 s: this hole of 0.62 s"
     with pytest.warns(UserWarning, match=message):
         task(shown)
+
+
+def test_declared_angles_that_look_like_degrees_are_doubted() -> None:
+    degrees = recorded(torch.rad2deg(reaches() - math.pi)[..., None])
+    with pytest.warns(UserWarning, match=r"q looks like degrees: it is recorded over 1\d\d\.?"):
+        task(degrees, initial=at_rest(0.0))
+    with pytest.warns(UserWarning, match="q looks like degrees: the robot starts at 179.1, wh"):
+        task(recorded(reaches()[..., None]), initial=at_rest(180.0), evaluated=False)
+    task(degrees, initial=at_rest(180.0), units=("rad", "rad/s"))  # and nothing is said
 
 
 @pytest.mark.parametrize("rate", [1, None])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
+from tensordict import TensorDictBase
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.rollouts import states_of
@@ -93,11 +94,16 @@ def test_steps_are_powers_of_two_that_leave_a_motion_enough_of_them() -> None:
     }
 
 
+def travelled(rollout: TensorDictBase) -> torch.Tensor:
+    return rollout["observation"][..., 1].abs().sum(-1)
+
+
 def test_what_is_said_is_not_chosen() -> None:
     assert task_of(step=0.1, past=None).samplings == ()
+    assert task_of(step=np.float32(0.1), past=None).held == task_of(step=0.1, past=None).held
     assert task_of(step=0.1, past_actions=1).samplings == ()
     assert {each.past_actions for each in task_of(past_actions=2).samplings} == {2}
-    own = task_of(past=None, error=lambda rollout: rollout["observation"].sum())
+    own = task_of(past=None, error=travelled, tolerance=1.0)
     assert (own.samplings, own.held) == ((), 1)
 
 

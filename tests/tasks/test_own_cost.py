@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -13,7 +15,7 @@ from tests.helpers.draws import Draws
 from torch_pmil import QuadraticCost, SaturatingCost
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.envs import CartPoleEnv, DoublePendulumEnv
-from torch_pmil.envs.rollouts import rollout_of
+from torch_pmil.envs.rollouts import of_states, rollout_of
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.tasks.cost_task import REACH, CostTask
@@ -21,6 +23,10 @@ from torch_pmil.tasks.own_cost import of_target, own_cost
 
 STATE = ("x", "dx", "q", "dq")
 UPRIGHT = SaturatingCost(target={"x": 0.0, "cos q": 1.0}, width=0.5)
+
+
+def at(*state: float) -> Gaussian:
+    return Gaussian(torch.tensor(state).double(), torch.eye(len(state)).double())
 
 
 def cart_pole(cost: Any = UPRIGHT, **settings: Any) -> CostTask:
@@ -90,6 +96,22 @@ def test_another_optimiser_can_be_given() -> None:
     assert cart_pole().method.optimizer is torch.optim.LBFGS
 
 
+def test_numbers_of_numpy_are_those_of_python() -> None:
+    cost = SaturatingCost(target={"q": 0.0}, width=np.float32(0.5))
+    given = {"state": STATE, "num_centres": np.int64(7), "tolerance": np.float32(0.25)}
+    task = own_cost(CartPoleEnv(), cost, np.int64(15), 0.1, **given)
+    exact = own_cost(
+        CartPoleEnv(),
+        SaturatingCost(target={"q": 0.0}, width=0.5),
+        15,
+        0.1,
+        **given | {"num_centres": 7, "tolerance": 0.25, "initial": task.initial},
+    )
+    assert json.dumps(task.settings) == json.dumps(exact.settings)
+    assert json.dumps(task.adjustable) == json.dumps(exact.adjustable)
+    assert (type(task.horizon), type(task.method.policy.num_centres)) == (int, int)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -100,8 +122,16 @@ def test_another_optimiser_can_be_given() -> None:
             {"cost": SaturatingCost(target={"tip": 0.0}, width=1.0)},
             "target must name some of x, dx, q, dq, sin q, cos q, or entries of match, got tip",
         ),
-        ({"optimizer": "Adam"}, "optimizer must be a class of torch.optim, or make one, got str"),
+        ({"optimizer": "Adam"}, "optimizer must be a torch.optim class whose step takes a closure"),
+        ({"optimizer": lambda p: None}, "got <lambda>: 'NoneType' object has no attribute 'step'"),
+        ({"initial": at(0.0, 0.0, 0.0)}, "initial must be over the 4 entries of the state, got 3"),
+        ({"box": {"q": 1}}, "limits of q must be two numbers, low < high, got 1"),
         ({"success": 1}, "success must be a function of states, got int"),
+        ({"success": lambda states: states[:, -1, 0].abs()}, "(3,), whether each motion succeeds"),
+        ({"success": lambda states: states[..., 0] < 1}, "(3,), whether each motion succeeds, got"),
+        ({"success": lambda states: True}, "whether each motion succeeds, got bool"),
+        ({"error": of_states(lambda states: states[:, -1, 0])}, "tolerance must be given with an"),
+        ({"units": ("m", "m/s", "°", "°/s")}, "angles must be in rad, got q in °: convert the"),
         ({"match": "tip"}, "match by a site needs a MujocoRobot, got CartPoleEnv"),
         ({"noise_std": 0.1}, "settings must be known ones, got 'noise_std'"),
         ({"demonstrations": None}, "settings must be known ones, got 'demonstrations'"),

@@ -24,7 +24,7 @@ from torch_pmil import (
 from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
-from torch_pmil.envs.rollouts import rollout_of, states_of
+from torch_pmil.envs.rollouts import of_states, rollout_of, states_of
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_starts import STARTS
 from torch_pmil.tasks.site_match import site_match
@@ -78,6 +78,10 @@ def at_rest(*pose: float) -> Gaussian:
 def task(robot: EnvBase | None = None, **settings: object) -> Task:
     given = {"demonstrations": reaches(), "control_period": 0.1, "state": ("q", "dq")} | settings
     return own_robot(robot or Arm(), **given)
+
+
+def farthest(states: torch.Tensor) -> torch.Tensor:
+    return states[..., 0].abs().amax(-1)
 
 
 def test_defaults_are_those_that_are_promised() -> None:
@@ -236,6 +240,17 @@ def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_pa
         ({"name": "../../up"}, ValueError, "that of a folder within the runs, got '../../up'"),
         ({"name": ""}, ValueError, "name must be text of 1 to 100 printable characters"),
         ({"error": None}, TypeError, "error must be a function, got NoneType"),
+        ({"error": of_states(farthest)}, ValueError, "tolerance must be given .* unit, got None"),
+        (
+            {"error": of_states(farthest), "tolerance": {"q": 0.1}},
+            ValueError,
+            r"tolerance must be .* one number in its unit, got \{'q': 0.1\}",
+        ),
+        (
+            {"angles": ("q",), "units": ("deg", "deg/s")},
+            ValueError,
+            "angles must be in rad, got q in deg: convert the observation",
+        ),
         ({"initial": 3}, TypeError, "initial must be of type Gaussian, got int"),
         ({"past_actions": 1000}, ValueError, "past_actions must be a whole number from 0 to 20"),
         ({"positions_only": "no"}, TypeError, "positions_only must be True or False, got 'no'"),
@@ -259,6 +274,29 @@ def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -
     with pytest.raises(kind, match=message) as raised:
         task(**change)
     assert "\n" not in str(raised.value) and len(str(raised.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "message"),
+    [
+        (farthest, TypeError, r"error must be a function of rollouts, got one of states: give err"),
+        (of_states(lambda states: farthest(states) < 1), ValueError, r"tensor \(3,\).* torch.bool"),
+        (of_states(lambda states: states[..., 0]), ValueError, r"a real tensor \(3,\).* \(3, 21\)"),
+        (of_states(lambda states: farthest(states).tolist()), ValueError, "success, got list"),
+        (of_states(lambda states: states[:, -1, 0]), ValueError, r"for states \(21, 2\)"),
+        (lambda rollout: rollout["action"][..., 0], ValueError, r"\(3,\).* \(3, 20\)"),
+    ],
+)
+def test_error_that_does_not_judge_each_motion_is_refused_before_the_robot_moves(
+    error: object, kind: type[Exception], message: str
+) -> None:
+    with pytest.raises(kind, match=message) as raised:
+        task(Physical(), error=error, tolerance=0.1)
+    assert "\n" not in str(raised.value)
+
+
+def test_error_may_read_what_only_the_robot_shows() -> None:
+    assert task(error=lambda rollout: rollout["load"].amax(-1), tolerance=0.1).promised is None
 
 
 @pytest.mark.parametrize("period", [np.float32(0.5), np.float64(0.5), torch.tensor(0.5), 0.5])

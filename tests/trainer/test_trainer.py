@@ -35,7 +35,7 @@ from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.tasks.method import Method
 from torch_pmil.trainer.collector import RobotActor
 from torch_pmil.trainer.trainer import PMILTrainer
-from torch_pmil.trainer.trials import Candidate, Trial
+from torch_pmil.trainer.trials import Candidate, Trial, own_error as judge
 
 HORIZON, STARTS = 4, 20
 
@@ -180,6 +180,14 @@ def test_error_is_of_the_rollout_as_the_environment_gives_it() -> None:
     fastest = lambda rollout: rollout["action"].norm(dim=-1).amax(-1)  # noqa: E731
     trainer = learned(trials=1, error=fastest, tolerance=0.0)
     assert trainer.trials[0].own_error == fastest(rollouts_of(trainer)[1]).item()
+
+
+@pytest.mark.parametrize("judged", [states_of, lambda rollout: states_of(rollout).norm() < 1])
+def test_own_rollout_is_judged_by_one_number(judged: Callable) -> None:
+    with pytest.raises(
+        ValueError, match=r"^error must return a real tensor \(\), how far .*, got "
+    ):
+        judge(rollout_of(torch.zeros(HORIZON + 1, 4)), "", HORIZON, judged)
 
 
 class ScriptedPromise:

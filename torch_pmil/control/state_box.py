@@ -18,6 +18,7 @@ from torch.nn.functional import pad
 
 from torch_pmil.checks import check_positive
 from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.files import short
 from torch_pmil.gp.gaussian import Gaussian
 
 
@@ -52,11 +53,10 @@ class StateBox:
 
     def __post_init__(self) -> None:
         known = dict.fromkeys((*self.space.names, *self.space.match_space.names))
-        for name, (low, high) in self.limits.items():
+        for name, bounds in self.limits.items():
             if name not in known:
                 raise ValueError(f"limits must be of {', '.join(known)}, got {name}")
-            if not low < high:
-                raise ValueError(f"limits of {name} must be low < high, got {low} and {high}")
+            _check_bounds(name, bounds)
         if not len(self._finite[1]):
             raise ValueError(f"limits must hold a finite number, got {dict(self.limits)}")
         check_positive("threshold", self.threshold)
@@ -142,3 +142,14 @@ class StateBox:
             match_space.angles,
             torch.stack([rows[name] for name in self.limits]),
         )
+
+
+def _check_bounds(name: str, bounds: object) -> None:
+    """Raise ValueError unless these are two numbers, the lower one first."""
+    try:
+        low, high = torch.as_tensor(bounds, dtype=torch.float64)
+        rising = bool(low < high)
+    except (TypeError, ValueError, RuntimeError):
+        rising = False
+    if not rising:
+        raise ValueError(f"limits of {name} must be two numbers, low < high, got {short(bounds)}")

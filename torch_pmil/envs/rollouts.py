@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,5 +90,43 @@ class OfStates:
     of_states: Callable[[Tensor], Tensor]
 
     def __call__(self, rollout: TensorDictBase) -> Tensor:
-        """Errors (*batch) of rollouts (*batch, T)."""
-        return self.of_states(states_of(rollout))
+        """Errors (*batch) of rollouts (*batch, T).
+
+        Raises:
+            ValueError: as :func:`check_results`.
+        """
+        states = states_of(rollout)
+        errors = self.of_states(states)
+        check_results("error", errors, states.shape[:-2])
+        return errors
+
+
+def check_results(name: str, results: object, batch: Sequence[int], truth: bool = False) -> None:
+    """Raise ValueError unless a function of motions (*batch) returned one value for each.
+
+    Args:
+        name: of the function, for the error.
+        results: what it returned.
+        batch: shape of the motions.
+        truth: whether the values must be True or False; otherwise real numbers.
+
+    Example:
+        >>> check_results("success", torch.zeros(7), (7,), truth=True)
+        Traceback (most recent call last):
+        ValueError: success must return a bool tensor (7,), ..., got torch.float32 (7,)
+    """
+    if fault := fault_of_results(name, results, batch, truth):
+        raise ValueError(fault)
+
+
+def fault_of_results(name: str, results: object, batch: Sequence[int], truth: bool = False) -> str:
+    """The line of :func:`check_results`; "" if nothing is wrong."""
+    came = type(results).__name__
+    if isinstance(results, Tensor):
+        fits = (results.dtype == torch.bool) == truth and not results.is_complex()
+        if fits and results.shape == tuple(batch):
+            return ""
+        came = f"{results.dtype} {tuple(results.shape)}"
+    wanted = f"a {'bool' if truth else 'real'} tensor {tuple(batch)}"
+    what = "whether each motion succeeds" if truth else "how far each motion is from success"
+    return f"{name} must return {wanted}, {what}, got {came}"

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from torch_pmil.files import bounded_line
+
 MakeOptimizer = Callable[[list[Tensor]], torch.optim.Optimizer]  # such as a class of torch.optim
 
 LARGEST_LOSS = 1e10  # beyond, an objective counts as failed
@@ -62,6 +64,7 @@ def minimise(
     Raises:
         NotFiniteError: the objective is not finite at the start; an error of ``survives`` there is
             raised as well.
+        TypeError: the optimiser's step does not call its closure.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
@@ -150,6 +153,8 @@ def minimise_function(
             iterations = max_iterations
             for _ in range(iterations):
                 other.step(guard)
+            if iterations and not guard.evaluations:
+                raise TypeError("step of the optimizer must call its closure, got no call")
     return guard.best.clone(), MinimiseResult(
         initial_loss=guard.initial_loss,
         loss=guard.best_loss,
@@ -158,6 +163,25 @@ def minimise_function(
         failures=guard.failures,
         stop_reason=guard.stop_reason(iterations, max_iterations, tolerance_grad),
     )
+
+
+def check_optimizer(optimizer: MakeOptimizer) -> None:
+    """Raise TypeError unless an optimiser is made of one vector, and its step calls a closure.
+
+    It minimises the sum of two squares by one iteration.
+
+    Example:
+        >>> check_optimizer(torch.optim.Adam)
+    """
+    start = torch.ones(2, dtype=torch.float64)
+    try:
+        minimise_function(start, lambda x: (x.square().sum().item(), 2 * x), 1, optimizer=optimizer)
+    except Exception as error:  # each optimiser fails with errors of its own
+        name = getattr(optimizer, "__name__", type(optimizer).__name__)
+        raise TypeError(
+            f"optimizer must be a torch.optim class whose step takes a closure, got {name}: "
+            f"{bounded_line(error)}"
+        ) from error
 
 
 class _Guard:

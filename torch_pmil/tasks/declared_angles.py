@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations, Recordings
-from torch_pmil.demonstrations.turns import jumps_by_turns, unwrapped
+from torch_pmil.demonstrations.turns import jumps_by_turns, unwrapped, values_of
 from torch_pmil.envs.turning import TURN, Turning
+
+FAR = 2  # turns, over which few robots turn, and most angles in degrees do
 
 
 def turning(observed: Sequence[str], space: StateSpace, near: Tensor) -> tuple[Turning, ...]:
-    """The angles that an observation shows as they are; episodes start near a state (D,)."""
+    """The angles that an observation shows as they are; episodes start near a state (D,).
+
+    Warns of starts that look like degrees.
+    """
+    for index in space.angles:
+        name, start = space.names[index], near[index].item()
+        if not space.units[index] and abs(start) > FAR * TURN:
+            _warn(_in_degrees(name, f"the robot starts at {start:.4g}", TURN))
     entries = list(observed)
     return tuple(
         Turning(
@@ -33,7 +42,8 @@ def on_one_turn(
 ) -> Demonstrations | Recordings:
     """What was recorded, its declared angles continued, and beginning near a state (D,).
 
-    Warns of holes, and of entries that jump by a turn although they were not declared.
+    Warns of holes, of declared angles that look like degrees, and of entries that jump by a turn
+    although they were not declared.
     """
     match, turns = space.match_space, {}
     for name, weights in zip(match.names, match.weights, strict=True):
@@ -41,9 +51,34 @@ def on_one_turn(
         sizes = weights[used].abs()
         if used and set(used) <= set(space.angles) and torch.all(sizes == sizes[0]):
             turns[name] = TURN * sizes[0].item()
+    far = [*_far_turned(recorded, space, turns)]
     shown = None if near is None else dict(zip(match.names, match(near).tolist(), strict=True))
     recorded = unwrapped(recorded, turns, shown or {})
     holes = recorded.holes() if isinstance(recorded, Recordings) else []
-    for doubt in [*holes, *jumps_by_turns(recorded)]:
-        warnings.warn(doubt, UserWarning, stacklevel=5)
+    for doubt in [*holes, *far, *jumps_by_turns(recorded)]:
+        _warn(doubt)
     return recorded
+
+
+def _far_turned(
+    recorded: Demonstrations | Recordings, space: StateSpace, turns: Mapping[str, float]
+) -> Iterator[str]:
+    """A line for each declared angle of unknown unit that turns as far as one in degrees."""
+    units = dict(zip(space.match_space.names, space.match_space.units, strict=True))
+    for column, name in enumerate(recorded.names):
+        if name not in turns or units[name]:
+            continue
+        width = max((one.amax(0) - one.amin(0))[column].item() for one in values_of(recorded))
+        if width > FAR * turns[name]:
+            yield _in_degrees(name, f"it is recorded over {width:.4g}", turns[name])
+
+
+def _in_degrees(name: str, what: str, turn: float) -> str:
+    return (
+        f"{name} looks like degrees: {what}, where a turn is {turn:.4g}; angles must be in rad, so "
+        "convert it, or give its unit by units= if it turns so far"
+    )
+
+
+def _warn(doubt: str) -> None:
+    warnings.warn(doubt, UserWarning, stacklevel=6)

@@ -12,12 +12,13 @@ from torch_pmil.checks import check_whole
 from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.envs.one_robot import OneRobot
-from torch_pmil.envs.rollouts import of_states
+from torch_pmil.envs.rollouts import check_results, of_states
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.sampled_cost import CostFunction
 from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
+from torch_pmil.tasks.error_checks import check_error
 from torch_pmil.tasks.fitting import actions_of
 from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.own_robot import entries_of, observed_entries, parted, robot_of
@@ -91,7 +92,7 @@ def own_cost(
     state, units, angles = entries_of(env, state, units, angles, settings)
     if not state:
         raise ValueError("state must name the entries of the observation, got none")
-    names, indices = observed_entries(state, angles)
+    names, indices = observed_entries(state, angles, units)
     if isinstance(match, str):
         match = site_match(env, match)
     known = tuple(units) or ("",) * len(names)
@@ -109,6 +110,7 @@ def own_cost(
     if isinstance(robot, OneRobot):
         robot.turning_entries = turning(state, space, settings["initial"].mean)
     task = _task(robot, space, cost, horizon, control_period, success, settings)
+    check_error(task)
     return with_own(task, optimizer, policy, model)
 
 
@@ -147,7 +149,9 @@ def _failed(success: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
 
     def failed(states: Tensor) -> Tensor:
         motions = states.reshape(-1, *states.shape[-2:])
-        return 1 - success(motions).double().reshape(states.shape[:-2])
+        succeeded = success(motions)
+        check_results("success", succeeded, motions.shape[:1], truth=True)
+        return 1 - succeeded.double().reshape(states.shape[:-2])
 
     return failed
 

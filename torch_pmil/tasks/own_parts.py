@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from torch import nn
 
 from torch_pmil.control.module_policy import MakePolicy
-from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.gp.lbfgs import MakeOptimizer, check_optimizer
 from torch_pmil.model.own_dynamics import check_own_model
 from torch_pmil.tasks.task import Task
 
@@ -18,13 +18,11 @@ T = TypeVar("T", bound=Task)
 def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakePolicy | None, model: Any) -> T:
     """The same task with parts of the method that are a user's own, where they are not None.
 
-    Raises TypeError if one is of another kind.
+    Raises TypeError if one is of another kind, or the optimiser does not fit the search.
     """
     parts: dict[str, Any] = {}
     if optimizer is not None:
-        if not callable(optimizer):
-            got = type(optimizer).__name__
-            raise TypeError(f"optimizer must be a class of torch.optim, or make one, got {got}")
+        check_optimizer(optimizer)
         parts["optimizer"] = optimizer
     if policy is not None:
         if isinstance(policy, nn.Module) or not callable(policy):

@@ -25,6 +25,7 @@ from torch_pmil.search.sampled_cost import CostFunction
 from torch_pmil.search.target_costs import Cost
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.deviation import Deviation
+from torch_pmil.tasks.error_checks import check_error
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.method import Method, PolicySettings
@@ -45,6 +46,7 @@ INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh star
 # a robot that nobody here has seen may lead every search into the same poor optimum
 SEARCH = SearchSettings(restarts=2)
 ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 s at 30 Hz
+DEGREES = ("deg", "degree", "degrees", "°")
 TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
@@ -87,7 +89,8 @@ def own_robot(
     - A success is a rollout within twice the standard deviation of the demonstrations (noise
       included) of their mean, in root mean square over all entries and times. A ``tolerance`` by
       name, as ``{"q2": 0.05}``, is instead the largest distance of each named entry from that mean,
-      in its unit and in root mean square over time.
+      in its unit and in root mean square over time. An ``error`` of one's own needs a ``tolerance``
+      in its unit.
 
     Actions that have the names of entries of the state, and not another unit, are targets of these
     entries, so the first policy holds the robot where it is.
@@ -165,6 +168,7 @@ def own_robot(
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
     task = _task(robot, space, shown, states, starts, settings)
+    check_error(task)
     task = with_own(task, optimizer, policy, model)
     if cost is not None:
         weight = {} if imitation_weight is None else {"imitation_weight": imitation_weight}
@@ -296,7 +300,7 @@ def _space(
     shown: tuple[str, ...],
 ) -> StateSpace:
     """The state space of an observation, in which a pair of cosine and sine is an angle."""
-    names, indices = observed_entries(observed, angles)
+    names, indices = observed_entries(observed, angles, units)
     known = tuple(units) or ("",) * len(names)
     if match is None:
         if unknown := [name for name in shown if name not in names]:
@@ -310,15 +314,24 @@ def _space(
 
 
 def observed_entries(
-    observed: Sequence[str], angles: Sequence[str]
+    observed: Sequence[str], angles: Sequence[str], units: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Names of the state's entries, a cosine and sine counted as one, and indices of the angles."""
+    """Names of the state's entries, a cosine and sine counted as one, and indices of the angles.
+
+    Raises:
+        ValueError: an angle is unknown, or its unit is degrees.
+    """
     names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
     turned = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
     if unknown := sorted(turned - set(names)):
         raise ValueError(
             f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
         )
+    for name, unit in zip(names, units, strict=False):  # their number is checked with the space
+        if name in turned and unit in DEGREES:
+            raise ValueError(
+                f"angles must be in rad, got {name} in {unit}: convert the observation"
+            )
     return names, tuple(index for index, name in enumerate(names) if name in turned)
 
 

@@ -48,7 +48,8 @@ def check_said(
     """Check the arguments of a function that makes a task of this kind for one's own robot.
 
     Raises:
-        TypeError, ValueError: one is of another kind, or a setting is unknown.
+        TypeError, ValueError: one is of another kind, a setting is unknown, or an error comes
+            without its tolerance.
     """
     check_names("state", state)
     check_names("angles", angles)
@@ -61,6 +62,7 @@ def check_said(
             f"match must be a MatchSpace or the name of a site, got {type(match).__name__}"
         )
     _check_known(function, kind, settings)
+    _check_tolerance(settings)
     for name, wanted in KINDS.items():
         if settings.get(name) is not None and not isinstance(settings[name], wanted):
             got = type(settings[name]).__name__
@@ -86,6 +88,17 @@ def seconds(value: object) -> float:
     if not 0 < period < math.inf:
         raise ValueError(f"control_period must be positive and finite, in seconds, got {period}")
     return period
+
+
+def _check_tolerance(settings: Mapping[str, object]) -> None:
+    """Raise ValueError if an error of one's own would be judged by a tolerance in another unit."""
+    tolerance = settings.get("tolerance")
+    unknown = tolerance is None or isinstance(tolerance, Mapping)
+    if settings.get("error") is not None and unknown:
+        raise ValueError(
+            "tolerance must be given with an error of your own, one number in its unit, got "
+            f"{short(tolerance)}"
+        )
 
 
 def _check_known(

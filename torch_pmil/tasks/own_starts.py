@@ -18,6 +18,7 @@ from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.seeds import Stream
 from torch_pmil.tasks.fitting import independent_start
+from torch_pmil.tasks.task import check_initial
 
 STARTS = 20  # resets by which p(x_0) is estimated
 LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
@@ -32,8 +33,11 @@ def starts_of(
 ) -> Tensor | None:
     """States of the robot after resets, (S, D), on one turn; its angles are near them from now on.
 
-    None for a robot that is not reset here. One reset is enough if ``initial`` is given.
+    None for a robot that is not reset here. One reset is enough if ``initial`` is given; ValueError
+    if that is over another number of entries.
     """
+    if "initial" in settings:
+        check_initial(settings["initial"], len(space.names))
     if not settings["evaluated"]:
         return None
 

@@ -364,6 +364,12 @@ class Task(Settings):
         return self.space.features(starts)
 
 
+def check_initial(initial: Gaussian, dim: int) -> None:
+    """Raise ValueError unless p(x_0) is over so many entries."""
+    if initial.dim != dim:
+        raise ValueError(f"initial must be over the {dim} entries of the state, got {initial.dim}")
+
+
 def check_task(task: Task) -> None:
     """Raise TypeError or ValueError unless the parts of a task fit each other."""
     D, method, settings = task.space.dim, task.method, task.method.policy
@@ -379,10 +385,7 @@ def check_task(task: Task) -> None:
         check_tensor("demonstrated_states", task.demonstrated_states, ("S", D))
     if task.held_states is not None:
         check_tensor("held_states", task.held_states, ("S", D))
-    if task.initial.dim != D:
-        raise ValueError(
-            f"initial must be over the {D} entries of the state, got {task.initial.dim}"
-        )
+    check_initial(task.initial, D)
     for name in ("input_widths", "least_widths"):
         if (widths := getattr(settings, name)) is not None:
             check_tensor(name, widths, (len(task.space.feature_names),))

@@ -10,6 +10,7 @@ from typing import Self
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from torch_pmil.envs.rollouts import check_results
 from torch_pmil.search.admission import Admission
 
 
@@ -127,10 +128,15 @@ def own_error(
 
     ``cut_short`` says why the robot ended it early, "" if it did not; a whole rollout has
     ``horizon`` steps. ``error`` maps whole rollouts to (*robots).
+
+    Raises:
+        ValueError: it returns something else.
     """
     if cut_short or rollout.shape[-1] < horizon:
         return math.inf
-    return error(rollout).max().item()
+    errors = error(rollout)
+    check_results("error", errors, rollout.shape[:-1])
+    return errors.max().item()
 
 
 def success_rate(errors: Tensor, tolerance: float) -> float:

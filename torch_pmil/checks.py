@@ -6,8 +6,9 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
-from numbers import Real
+from numbers import Integral, Real
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -19,18 +20,31 @@ LONGEST_NAME = 100  # characters
 Shape = tuple[int | str, ...]
 
 
-def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
-    """Raise ValueError unless a value is a whole number of that range.
+def plain(value: object) -> object:
+    """A number of NumPy as one of Python, anything else as it is.
 
     Example:
+        >>> plain(np.float32(0.5)), plain("auto")
+        (0.5, 'auto')
+    """
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def check_whole(name: str, value: object, least: int, most: int | None = None) -> int:
+    """A whole number of that range, of Python or NumPy, as an int; ValueError for another value.
+
+    Example:
+        >>> check_whole("seed", np.int64(3), 0)
+        3
         >>> check_whole("trials", 0, 1)
         Traceback (most recent call last):
         ValueError: trials must be a whole number of at least 1, got 0
     """
-    whole = isinstance(value, int) and not isinstance(value, bool)
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
         wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
+    return int(value)  # type: ignore[call-overload]
 
 
 def whole_multiple(value: float, unit: float) -> int | None:

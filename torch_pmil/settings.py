@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import LARGEST, check_whole
+from torch_pmil.checks import LARGEST, check_whole, plain
 from torch_pmil.files import short
 
 
@@ -119,7 +119,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name, declared in self.declared().items():
-            declared.check(name, getattr(self, name.removeprefix(self.prefix)))
+            of_field = name.removeprefix(self.prefix)
+            object.__setattr__(self, of_field, plain(getattr(self, of_field)))
+            declared.check(name, getattr(self, of_field))
 
     @classmethod
     def declared(cls) -> dict[str, Setting]:

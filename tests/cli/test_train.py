@@ -108,7 +108,8 @@ def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
         f"{name}.png" for name in FIGURES - {"kl_per_step"}
     }
     settings = json.loads((run / "summary.json").read_text())["settings"]
-    assert (settings["cost_width"], settings["target"]) == (2.0, [0.0, 0.5, 0.0, 1.0])
+    target = {"x1": 0.0, "y1": 0.5, "x2": 0.0, "y2": 1.0}
+    assert settings["cost"] == {"cost": "SaturatingCost", "target": target, "width": 2.0}
 
 
 def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_says_so(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations import Recordings
-from torch_pmil.demonstrations.preparation.alignment import resample
+from torch_pmil.demonstrations.preparation.alignment import AlignmentError, resample
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 
 RATES, PERIODS = (10, 24, 30, 50, 100), (0.1, 0.05, 1 / 30, 0.07)
@@ -108,3 +108,10 @@ def test_hole_is_bridged_without_overshoot(begin: float) -> None:
     within = shown[round(100 * begin) : round(100 * begin) + 61]
     assert before <= within.min() and within.max() <= after
     assert abs(shown[:, 0].numpy() - reach(times)).max() < 30
+
+
+def test_recording_of_one_sample_is_no_motion() -> None:
+    made = recordings(stamped(10, 2.0, "exact"), np.zeros(1))
+    message = "demonstration 1 must have at least two samples, got 1"
+    with pytest.raises(AlignmentError, match=message):
+        synchronise(made, 0.1)

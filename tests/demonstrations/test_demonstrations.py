@@ -11,6 +11,7 @@ from tests.helpers.draws import Draws
 from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import (
     Demonstrations,
+    Recordings,
     load_demonstrations,
     load_recordings,
     shipped_demonstrations,
@@ -231,6 +232,18 @@ def test_recordings_have_lengths_and_times_of_their_own(tmp_path):
         assert times.tolist() == pytest.approx(expected)
     first, second = (values.tolist() for values in recordings.values)
     assert first == [[0, 0], [1, 1], [2, 2], [3, 3]] and second == [[0, 0], [1, 2], [2, 4]]
+
+
+@pytest.mark.parametrize("made", [np.array, list, torch.tensor], ids=["array", "list", "tensor"])
+def test_recordings_are_made_of_numbers_in_memory_of_any_kind(made):
+    times, values = [made([0, 1, 2]), made([0, 2])], [made([[1], [2], [4]]), made([[3], [5]])]
+    recordings = Recordings([1, 2], times, values, ["x"], made([[0], [1]]), ["place"])
+    assert (recordings.labels, recordings.names) == (("1", "2"), ("x",))
+    for found in (*recordings.times, *recordings.values, recordings.targets):
+        assert found.dtype == torch.float64
+    assert [one.tolist() for one in recordings.values] == [[[1], [2], [4]], [[3], [5]]]
+    assert recordings.durations == [2, 2]
+    assert refused(Recordings, ["1"], [["now"]], [[[1.0]]], ["x"]).startswith("times must be an")
 
 
 def test_shipped_demonstrations_swing_up_and_balance():

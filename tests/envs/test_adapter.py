@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 import gymnasium
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -209,6 +210,11 @@ def test_robots_are_reset_together() -> None:
     line = "all robots must be reset together, got a mask with 1 of 2"
     with pytest.raises(ValueError, match=line):
         env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+
+
+def test_seed_of_numpy_is_that_of_python() -> None:
+    starts = [adapted_cart(seed=seed).reset()["observation"] for seed in (3, np.int64(3))]
+    assert torch.equal(*starts)
 
 
 def test_pictures_come_beside_the_observation() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +14,7 @@ from tensordict.nn import TensorDictModule
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.one_robot import OneRobot
+from torch_pmil.envs.turning import Turning
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -68,3 +71,47 @@ def test_pictures_are_those_of_the_environment() -> None:
     assert robot.draws and robot.name == "InvertedPendulum-v5"
     assert not OneRobot(gymnasium.make("InvertedPendulum-v5"), control_period=0.04).draws
     assert not OneRobot(DoublePendulumEnv(), control_period=0.1).draws
+
+
+class Dial(gymnasium.Env):
+    """Turns by its action. It shows its angle in (-pi, pi], and a picture, always in one array."""
+
+    observation_space = gymnasium.spaces.Box(-math.pi, math.pi, (1,), np.float64)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float64)
+    render_mode, dt = "rgb_array", 0.1
+
+    def __init__(self) -> None:
+        self.shown, self.picture = np.zeros(1), np.zeros((2, 2, 3), np.uint8)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
+        self.shown[:], self.picture[:] = 0, 0
+        return self.shown, {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        self.shown[:] = (self.shown + action + math.pi) % (2 * math.pi) - math.pi
+        self.picture += 1
+        return self.shown, 0.0, False, False, {}
+
+    def render(self) -> np.ndarray:
+        return self.picture
+
+
+def test_robot_that_shows_itself_in_one_array_is_recorded_as_it_moved() -> None:
+    robot = OneRobot(Dial(), control_period=0.1)
+    robot.turning_entries = (Turning(0, rate=None, near=0.0),)
+    shown = robot(from_pixels=True, seed=0).rollout(8, lambda td: td.set("action", torch.ones(1)))
+    moved = torch.arange(1, 9)
+    torch.testing.assert_close(shown["next", "observation"][:, 0], moved.double())
+    assert torch.equal(shown["next", "pixels"][:, 0, 0, 0], moved.byte())
+
+
+class Hidden(Dial):
+    """Says that it gives pictures, and gives none."""
+
+    def render(self) -> None:
+        return None
+
+
+def test_robot_that_renders_nothing_is_refused() -> None:
+    with pytest.raises(RuntimeError, match=r"must return a picture \(height, width, 3\), got None"):
+        OneRobot(Hidden(), control_period=0.1)(from_pixels=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partialmethod
 from pathlib import Path
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -18,7 +20,10 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.files import FileError
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.runs.sampled import MOTION, SAMPLING, sampled
+from torch_pmil.runs import sampled as of_sampled, training
+from torch_pmil.runs.own_files import MOTION, SAMPLING, own
+from torch_pmil.runs.run_folder import UnfinishedRunError, clear_folder
+from torch_pmil.runs.sampled import sampled
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks import first_motion
 from torch_pmil.tasks.first_motion import explore, ran_away
@@ -151,3 +156,30 @@ def test_run_that_was_stopped_goes_on_with_its_motion_to_the_same_end(
         assert torch.equal(learner.policy.policy.state_dict()[name], value)
     assert learner.policy.control_period == whole.policy.control_period
     assert learner.result.summary["experience_s"] == pytest.approx(3 * 5.0)
+
+
+def test_first_motion_of_a_run_that_was_stopped_before_its_first_checkpoint_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = PMIL(DoublePendulumEnv(), shown(), 0.1, **said())
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "make_trainer", Mock(side_effect=KeyboardInterrupt))
+        learner.learn(1, seed=100, out=tmp_path)
+    motion = (tmp_path / MOTION).read_bytes()
+    line = re.escape(f"resume=true, choose another out, or remove {tmp_path / MOTION}")
+    with pytest.raises(UnfinishedRunError, match=f"{line}$"):
+        learner.learn(1, seed=100, out=tmp_path)
+    monkeypatch.setattr(of_sampled, "explore", None)  # the robot is not moved again
+    learner.learn(1, seed=100, out=tmp_path, resume=True)
+    assert (tmp_path / MOTION).read_bytes() == motion
+    assert learner.result.summary["experience_s"] == pytest.approx(2 * 5.0)
+
+
+def test_run_that_begins_with_anothers_experience_is_repeated_until_its_first_checkpoint(
+    tmp_path: Path,
+) -> None:
+    own(tmp_path, MOTION).touch()
+    with pytest.raises(UnfinishedRunError):
+        clear_folder(tmp_path)
+    clear_folder(tmp_path, borrowed=True)
+    assert not (tmp_path / MOTION).exists()

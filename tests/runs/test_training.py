@@ -11,7 +11,9 @@ from dataclasses import asdict, fields
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import torch
 
@@ -262,6 +264,18 @@ def test_run_begins_by_removing_debris_and_is_alone_in_its_folder_from_its_start
     with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
     assert not (tmp_path / ".pmil.lock").exists()
+
+
+def test_seed_of_numpy_is_that_of_python(
+    experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "make_trainer", Mock(side_effect=KeyboardInterrupt))
+    written = set()
+    for seed in (3, np.int64(3)):
+        with pytest.raises(KeyboardInterrupt):
+            train(experiment, seed, 1, tmp_path / type(seed).__name__, COMMAND)
+        written.add((tmp_path / type(seed).__name__ / "settings.yaml").read_text())
+    assert len(written) == 1
 
 
 def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, draws: Draws) -> None:

@@ -88,9 +88,8 @@ class RandomActions:
     def __post_init__(self) -> None:
         if not 0 < self.fraction <= 1:
             raise ValueError(f"fraction must be above 0 and at most 1, got {self.fraction}")
-        check_whole("steps", self.steps, 1)
-        check_whole("rollouts", self.rollouts, 1)
-        check_whole("hold", self.hold, 1)
+        for name in ("steps", "rollouts", "hold"):
+            object.__setattr__(self, name, check_whole(name, getattr(self, name), 1))
         if self.around is not None:
             each = (self.steps,) if self.around.ndim > 1 else ()
             check_tensor("around", self.around, (*each, len(self.actions.names)))

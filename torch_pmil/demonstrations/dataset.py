@@ -47,7 +47,7 @@ class Demonstrations:
     target_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", _numbers("positions", self.positions))
+        object.__setattr__(self, "positions", real_numbers("positions", self.positions))
         for names in ("names", "target_names"):
             object.__setattr__(self, names, tuple(map(str, getattr(self, names))))
         self._check_shapes()
@@ -63,7 +63,7 @@ class Demonstrations:
                 f"{step}, column {name}"
             )
         if self.targets is not None:
-            object.__setattr__(self, "targets", _numbers("targets", self.targets))
+            object.__setattr__(self, "targets", real_numbers("targets", self.targets))
             self._check_targets(self.targets)
         elif self.target_names:
             raise DemonstrationError(
@@ -168,7 +168,7 @@ class Demonstrations:
             np.savez(file, **arrays)
 
 
-def _numbers(name: str, values: object) -> Tensor:
+def real_numbers(name: str, values: object) -> Tensor:
     """Values as a float64 tensor; raises DemonstrationError unless they are real numbers."""
     try:
         tensor = torch.as_tensor(values)

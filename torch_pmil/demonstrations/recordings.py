@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations.clock import clock, holes, on_ticks
-from torch_pmil.demonstrations.dataset import Demonstrations
+from torch_pmil.demonstrations.dataset import Demonstrations, real_numbers
 from torch_pmil.demonstrations.errors import DemonstrationError, check_names
 
 ALIGN = "pmil align"
@@ -55,6 +55,18 @@ class Recordings:
     in_seconds: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("labels", "names", "target_names"):
+            object.__setattr__(self, name, tuple(map(str, getattr(self, name))))
+        for name in ("times", "values"):
+            each = tuple(real_numbers(name, one) for one in getattr(self, name))
+            object.__setattr__(self, name, each)
+        if self.targets is not None:
+            object.__setattr__(self, "targets", real_numbers("targets", self.targets))
+        self._check_shapes()
+        for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
+            self._check_numbers(demonstration, times, values)
+
+    def _check_shapes(self) -> None:
         entries = len(self.names)
         if not (self.labels and entries):
             raise DemonstrationError(
@@ -68,13 +80,12 @@ class Recordings:
                 f"{counts[0]}, {counts[1]} and {counts[2]}"
             )
         check_names(self.names, self.values[0].shape[1] if self.values[0].ndim == 2 else entries)
-        for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
-            if values.shape != (len(times), entries) or not len(times):
+        for label, times, values in zip(self.labels, self.times, self.values, strict=True):
+            if times.ndim != 1 or values.shape != (len(times), entries) or not len(times):
                 raise DemonstrationError(
-                    f"demonstration {self.labels[demonstration]} must hold {entries} entries at "
-                    f"each of at least one time, got {tuple(values.shape)} at {len(times)} times"
+                    f"demonstration {label} must hold {entries} entries at each of at least one "
+                    f"time, got {tuple(values.shape)} at {times.numel()} times"
                 )
-            self._check_numbers(demonstration, times, values)
 
     def _check_numbers(self, demonstration: int, times: Tensor, values: Tensor) -> None:
         for sample in (~times.isfinite()).nonzero().flatten().tolist()[:1]:

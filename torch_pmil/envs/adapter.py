@@ -158,7 +158,7 @@ class AdaptedEnv(RobotEnv):
             )
         measured = {"observation": self._state(self._continued(shown))}
         if self.from_pixels:
-            measured["pixels"] = self._last["pixels"]
+            measured["pixels"] = self._last["pixels"].clone()
         return TensorDict(measured, batch_size=self.batch_size)
 
     def _state(self, shown: Tensor) -> Tensor:

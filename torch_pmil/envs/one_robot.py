@@ -19,6 +19,9 @@ from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
 from torch_pmil.envs.layers import resetting_layer
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Turning
+from torch_pmil.files import short
+
+PICTURE = 3  # dimensions
 
 
 class OneRobot:
@@ -130,7 +133,7 @@ class OneRobot:
     def _made(self, from_pixels: bool = False) -> EnvBase:
         if not from_pixels or "pixels" in self.env.observation_spec:
             return self.env
-        return TransformedEnv(self.env, PixelRenderTransform(preproc=np.ascontiguousarray))
+        return TransformedEnv(self.env, PixelRenderTransform(preproc=_picture))
 
     @property
     def _observation(self) -> NestedKey:
@@ -141,6 +144,16 @@ class OneRobot:
             if spec.dtype.is_floating_point and spec.ndim == 1
         ]
         return vectors[0] if len(vectors) == 1 else "observation"
+
+
+def _picture(rendered: Any) -> np.ndarray:
+    """What ``render`` returned, in C order; RuntimeError unless it is a picture."""
+    picture = np.ascontiguousarray(rendered)
+    if picture.ndim != PICTURE:
+        raise RuntimeError(
+            f"render() must return a picture (height, width, 3), got {short(rendered)}"
+        )
+    return picture
 
 
 def length_of_step(env: gymnasium.Env) -> float | None:

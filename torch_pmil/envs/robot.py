@@ -110,7 +110,7 @@ class RobotEnv(EnvBase):
         if seed is None:
             self._generator.seed()
         elif is_whole_number(seed) and 0 <= seed <= LARGEST_SEED:
-            self._generator.manual_seed(seed)
+            self._generator.manual_seed(int(seed))
         else:
             raise ValueError(
                 f"seed must be None or a whole number from 0 to {LARGEST_SEED}, got {seed!r}"

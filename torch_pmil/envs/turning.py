@@ -57,7 +57,7 @@ class Continued:
         else:
             steps = [_turns_of_step(self._before, shown, angle) for angle in self.angles]
             self._turns = [turns + step for turns, step in zip(self._turns, steps, strict=True)]
-        self._before, state = shown, shown.clone()
+        self._before, state = shown.clone(), shown.clone()  # a robot may write into its reading
         for angle, turns in zip(self.angles, self._turns, strict=True):
             state[..., angle.entry] += TURN * turns
         return state

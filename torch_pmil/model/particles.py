@@ -119,8 +119,8 @@ class ParticlePrediction:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_whole("count", self.count, 2)
-        check_whole("seed", self.seed, 0, LARGEST_SEED)
+        object.__setattr__(self, "count", check_whole("count", self.count, 2))
+        object.__setattr__(self, "seed", check_whole("seed", self.seed, 0, LARGEST_SEED))
 
     def __call__(
         self,

@@ -67,8 +67,7 @@ class Learner:
             raise ValueError(
                 f"resume must be True, False or the folder of a run, got {short(resume)}"
             )
-        check_whole("trials", trials, 1)
-        check_whole("seed", seed, *SEEDS)
+        trials, seed = check_whole("trials", trials, 1), check_whole("seed", seed, *SEEDS)
         if not (out is None or isinstance(out, str | os.PathLike)) or out == "":
             raise TypeError(f"out must be the path of a folder, or None, got {short(out)}")
         out = Path("runs", self.task.name, f"seed_{seed}") if out is None else Path(out)
@@ -115,8 +114,7 @@ class Learner:
         The operator of a physical robot is asked before each rollout; one that is cut short is a
         failure.
         """
-        check_whole("starts", starts, 1)
-        check_whole("seed", seed, *SEEDS)
+        starts, seed = check_whole("starts", starts, 1), check_whole("seed", seed, *SEEDS)
         errors = self.task.errors(self.policy, starts, seed)
         return success_rate(errors, self.task.tolerance)
 

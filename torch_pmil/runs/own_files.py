@@ -11,9 +11,10 @@ from torch_pmil.files import LineError, read_json, short, write_json
 from torch_pmil.runs.summaries import RunError, read_summary, words_of
 
 LIST = "run_files.json"
+MOTION, SAMPLING = "first_motion.pt", "sampling.json"
 FILES = (  # beside checkpoints, logs and figures
     *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
-    *("settings.yaml", "run.json", "summary.json", "first_motion.pt", "sampling.json"),
+    *("settings.yaml", "run.json", "summary.json", MOTION, SAMPLING),
 )
 FIGURES = (
     *("learning_curve", "trajectories", "kl_per_step", "policy", "calibration", "model"),

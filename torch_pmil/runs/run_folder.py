@@ -29,7 +29,7 @@ from torch_pmil.files import (
     replacing,
     write_json,
 )
-from torch_pmil.runs.own_files import LIST, check_free, files_of, own, remove_files
+from torch_pmil.runs.own_files import LIST, MOTION, check_free, files_of, own, remove_files
 from torch_pmil.runs.sources import hash_of_sources
 from torch_pmil.runs.summaries import RunError, is_finished, words_of
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
@@ -72,8 +72,14 @@ def read_command(folder: Path) -> list[str]:
         raise RunError(f"{folder}: run.json is damaged: {error}") from error
 
 
-def clear_folder(out: Path, overwrite: bool = False) -> None:
+def clear_folder(out: Path, overwrite: bool = False, borrowed: bool = False) -> None:
     """Remove the files of the finished run in a folder, if ``overwrite`` is true.
+
+    Args:
+        out: the folder.
+        overwrite: whether to replace a run that has ended.
+        borrowed: whether the new run begins with the experience of another one. Such a run is
+            repeated until its first checkpoint, so that its first motion may be replaced.
 
     Raises:
         UnfinishedRunError: there is a run that has not ended.
@@ -81,11 +87,15 @@ def clear_folder(out: Path, overwrite: bool = False) -> None:
         ForeignFileError, RunError: see :func:`~torch_pmil.runs.own_files.check_free`.
     """
     check_free(out)
-    saved, ended = saved_checkpoints(rotation_in(out / "checkpoints")), is_finished(out)
-    if saved and not ended:
+    ended, experience = is_finished(out), list[str]()
+    if saved_checkpoints(rotation_in(out / "checkpoints")):
+        experience.append(str(out / "checkpoints" / "checkpoint-*.torchrl"))
+    if (out / MOTION).exists() and not borrowed:
+        experience.append(str(out / MOTION))
+    if experience and not ended:
         raise UnfinishedRunError(
             f"{out} holds a run that was stopped: go on with resume=true, choose another out, or "
-            f"remove {out / 'checkpoints' / 'checkpoint-*.torchrl'}"
+            f"remove {' and '.join(experience)}"
         )
     if ended and not overwrite:
         raise FinishedRunError(f"{out} holds a run that has ended: overwrite=true replaces it")

@@ -14,7 +14,7 @@ from torch_pmil.checks import check_tensor
 from torch_pmil.control.tensor_file import load_tensors
 from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
-from torch_pmil.runs.own_files import own
+from torch_pmil.runs.own_files import MOTION, SAMPLING, own
 from torch_pmil.runs.run_folder import save_tensors
 from torch_pmil.tasks.first_motion import (
     GENTLER,
@@ -27,8 +27,6 @@ from torch_pmil.tasks.first_motion import (
 )
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.task import Task
-
-MOTION, SAMPLING = "first_motion.pt", "sampling.json"
 
 
 def sampled(

@@ -138,8 +138,8 @@ def train(
     if not isinstance(task, Task):
         raise TypeError(f"task must be a Task, as load_experiment gives it, got {task!r:.80}")
     out = Path(out)
-    check_whole("seed", seed, *SEEDS)
-    check_whole("trials", trials, 1, MOST_TRIALS)
+    seed = check_whole("seed", seed, *SEEDS)
+    trials = check_whole("trials", trials, 1, MOST_TRIALS)
     check_resume(resume is True, overwrite)
     check_logger(logger)
     rehearse(resampled(task, task.samplings[0]) if task.samplings else task)
@@ -152,7 +152,7 @@ def train(
         on_trial(trial)
 
     with alone_in(out), torchrl_warnings_alone():
-        _clear(out, resume is True, overwrite)
+        _clear(out, resume, overwrite)
         task, first = sampled(task, seed, out, resume is True, another, announce)
         identity = _identity(task, seed)
         rotation = _rotation(out, identity)
@@ -186,12 +186,12 @@ def _rotation(out: Path, identity: dict[str, object]) -> RunRotation:
     return rotation
 
 
-def _clear(out: Path, resume: bool, overwrite: bool) -> None:
+def _clear(out: Path, resume: bool | Path | str, overwrite: bool) -> None:
     """Clear the folder for a new run, or leave it to the one that continues there."""
     check_free(out)
     remove_debris(out)
-    if not resume:
-        clear_folder(out, overwrite)
+    if resume is not True:
+        clear_folder(out, overwrite, resume is not False)
 
 
 def _begin(

@@ -65,7 +65,7 @@ class CostTask(Task):
 
     def __post_init__(self) -> None:
         check_cost(self.cost)
-        check_whole("steps", self.steps, 1)
+        object.__setattr__(self, "steps", check_whole("steps", self.steps, 1))
         check_positive("control_period", self.control_period)
         super().__post_init__()
         if self.centre_std is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from torch_pmil.checks import whole_multiple
+from torch_pmil.checks import plain, whole_multiple
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.files import short
@@ -50,7 +50,7 @@ def _steps(task: Task) -> list[int]:
 
 def _periods(task: Task, step: Any) -> int:
     """A step in control periods."""
-    period = task.time_step
+    period, step = task.time_step, plain(step)
     number = isinstance(step, int | float) and not isinstance(step, bool)
     periods = whole_multiple(step, period) if number else None
     if periods is None:

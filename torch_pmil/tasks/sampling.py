@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from torch_pmil.checks import plain
+
 
 @dataclass(frozen=True)
 class Sampling:
@@ -20,6 +22,10 @@ class Sampling:
     past_entries: int = 0
     past_actions: int = 0
     positions_only: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, plain(value))
 
     @property
     def past(self) -> dict[str, Any]:

@@ -62,8 +62,9 @@ def with_history(
     if task.demonstrations is None:
         raise ValueError(f"{task.name} must have demonstrations to remember the past, got none")
     names, velocities = task.space.names, rates_of(task.space.names)
-    for name, past in (("past_entries", past_entries), ("past_actions", past_actions)):
-        check_whole(name, past, 0, task.horizon)  # no motion has more
+    most = task.horizon  # no motion has more
+    past_entries = check_whole("past_entries", past_entries, 0, most)
+    past_actions = check_whole("past_actions", past_actions, 0, most)
     if not isinstance(positions_only, bool):
         raise TypeError(f"positions_only must be True or False, got {short(positions_only)}")
     if positions_only and not velocities:

@@ -103,7 +103,7 @@ class PMILTrainer(Trainer):
         for value, kind in ((problem, Problem), (ending, Ending), (search, SearchSettings)):
             if not isinstance(value, kind):
                 raise TypeError(f"expected {kind.__name__}, got {type(value).__name__}")
-        check_whole("seed", seed, *SEEDS)
+        seed = check_whole("seed", seed, *SEEDS)
         self.problem, self.ending, self.promise = problem, ending, ending.promise
         self.initial, self.error, self.tolerance = problem.initial, problem.error, problem.tolerance
         self.evaluation_env, self.on_trial = problem.measured, on_trial

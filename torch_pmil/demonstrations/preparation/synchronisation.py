@@ -50,6 +50,11 @@ def synchronise(
             "time_step must be positive and at most the duration, "
             f"{recordings.durations[0]:g} s, got {time_step} s"
         )
+    for label, times in zip(recordings.labels, recordings.times, strict=True):
+        if len(times) < 2:
+            raise AlignmentError(
+                f"demonstration {label} must have at least two samples, got {len(times)}"
+            )
     common = common_clock(recordings.times)
     if window is None:
         in_time = reference is None and common is not None and _by_one_clock(common, time_step)

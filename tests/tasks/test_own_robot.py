@@ -223,6 +223,11 @@ def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_pa
         ({"state": ("cos q", "dq")}, ValueError, "state must name sin q too, got cos q, dq"),
         ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
         ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
+        (
+            {"demonstrations": Demonstrations(torch.ones(2, 21, 1), 0.1, ("q",))},
+            DemonstrationError,
+            "q never changes in the demonstrations, .*: give noise_std",
+        ),
         ({"tolerance": -1.0}, ValueError, "tolerance must"),
         ({"nose_std": 0.1}, ValueError, "known ones, got 'nose_std': did you mean noise_std?"),
         ({"past_action": 1}, ValueError, "got 'past_action': did you mean past_actions?"),

@@ -81,11 +81,19 @@ def at_control_rate(
 
 
 def noise(shown: Demonstrations, units: Sequence[str]) -> Tensor:
-    """Standard deviations (M,) of the observation noise."""
+    """Standard deviations (M,) of the observation noise.
+
+    Raises DemonstrationError if nothing of a unit ever changes, so that no accuracy follows.
+    """
     low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
     span = high - low
     alike = torch.tensor([[one == other for other in units] for one in units])
     largest = (alike * span).amax(-1)  # of the same unit
+    for entry in (largest == 0).nonzero().flatten().tolist():
+        raise DemonstrationError(
+            f"{shown.names[entry]} never changes in the demonstrations, which leaves its accuracy "
+            "unknown: give noise_std"
+        )
     still = STILL * LEAST_RANGE * largest > span
     for entry in [] if any(units) else still.nonzero().flatten().tolist():
         warnings.warn(

@@ -60,6 +60,8 @@ def test_runs_are_found_in_a_folder_of_runs_or_by_themselves_and_once(tmp_path: 
     (tmp_path / "runs" / "multirun.yaml").touch()
     assert find_runs([tmp_path / "runs"]) == runs
     assert find_runs([runs[1], tmp_path / "runs"]) == [runs[1], runs[0]]
+    (tmp_path / "runs" / "latest").symlink_to(runs[0], target_is_directory=True)
+    assert len(find_runs([tmp_path / "runs", tmp_path / "runs" / ".." / "runs"])) == len(runs)
 
 
 def test_trials_of_a_run_without_summary_count_unless_they_are_damaged(tmp_path: Path) -> None:

@@ -193,6 +193,15 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
     assert made.demonstrations.time_step == 0.1
 
 
+def test_an_empty_cell_is_named_and_does_not_leave_its_column_out(tmp_path: Path) -> None:
+    rows = [f"0,{0.1 * step},{(step / 20) ** 2},{step / 200}" for step in range(21)]
+    rows[7] = "0,0.7,0.1,"
+    path = tmp_path / "recorded.csv"
+    path.write_text("\n".join(["demonstration,time,q,dq", *rows]) + "\n")
+    with pytest.raises(DemonstrationError, match="row 9, column dq must be a finite number"):
+        own_robot(Arm(), path, 0.1, state=("q", "dq"))
+
+
 def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_path: Path) -> None:
     def made(column: str, per_second: int) -> torch.Tensor:
         rows = [f"demonstration,{column},q,dq,note,note"]

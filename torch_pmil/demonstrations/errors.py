@@ -61,6 +61,10 @@ class DemonstrationError(LineError):
     """Demonstrations are malformed: one line says where, what was expected and what came."""
 
 
+class UnknownEntryError(DemonstrationError):
+    """A file lacks an entry that is to be read."""
+
+
 @contextmanager
 def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
     """Turn a library's exception at a damaged file into a DemonstrationError.
@@ -159,7 +163,8 @@ def within(where: object) -> Iterator[None]:
     try:
         yield
     except (DemonstrationError, FileError) as error:
-        raise DemonstrationError(f"{where}: {error}") from error.__cause__
+        kind = type(error) if isinstance(error, DemonstrationError) else DemonstrationError
+        raise kind(f"{where}: {error}") from error.__cause__
 
 
 def optional(module: str) -> ModuleType:

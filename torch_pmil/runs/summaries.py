@@ -67,14 +67,14 @@ def rate_of(trial: Mapping) -> float:
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
-    """Folders of runs: those given, and the runs directly below those given.
+    """Folders of runs: those given, and the runs directly below those given, each once.
 
-    A run has ``metrics.csv`` before its first trial.
+    A run has ``metrics.csv`` before its first trial. A link to a run is that run.
 
     Raises:
         RunError: a folder is missing, or is not a run and holds none.
     """
-    found: list[Path] = []
+    found: dict[Path, Path] = {}
     for folder in folders:
         if not folder.is_dir():
             raise RunError(f"{folder} is not a folder")
@@ -82,8 +82,9 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
         runs = [path for path in candidates if (path / "metrics.csv").is_file()]
         if not runs:
             raise RunError(f"{folder} holds no run: neither metrics.csv nor folders with it")
-        found += runs
-    return list(dict.fromkeys(found))
+        for path in runs:
+            found.setdefault(path.resolve(), path)
+    return list(found.values())
 
 
 def words_of(command: object) -> list[str]:

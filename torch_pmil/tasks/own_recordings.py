@@ -17,6 +17,7 @@ from torch_pmil.demonstrations import (
     Recordings,
     load_recordings,
 )
+from torch_pmil.demonstrations.errors import UnknownEntryError
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
 
@@ -52,7 +53,7 @@ def read(
 
 
 def _from_file(path: str | os.PathLike[str], wanted: Sequence[str]) -> Recordings:
-    with suppress(DemonstrationError):
+    with suppress(UnknownEntryError):
         return load_recordings(path, keys=wanted)
     rates = rates_of(tuple(wanted))
     unread: DemonstrationError | None = None
@@ -62,7 +63,7 @@ def _from_file(path: str | os.PathLike[str], wanted: Sequence[str]) -> Recording
             return every
     except DemonstrationError as error:
         unread = error
-    with suppress(DemonstrationError):
+    with suppress(UnknownEntryError):
         places = [name for entry, name in enumerate(wanted) if entry not in rates]
         return load_recordings(path, keys=places)
     if unread is not None:

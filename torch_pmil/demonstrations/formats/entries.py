@@ -9,7 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torch_pmil.demonstrations.errors import DemonstrationError, check_count
+from torch_pmil.demonstrations.errors import (
+    DemonstrationError,
+    UnknownEntryError,
+    check_count,
+)
 from torch_pmil.demonstrations.recordings import Recordings
 
 Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a file holds
@@ -42,7 +46,8 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
     """The entries that ``keys`` name, in that order, or else those of ``default``.
 
     A key is one of ``groups``, for all its entries, or the name of one entry. Raises
-    DemonstrationError if a key is missing, or there are neither keys nor a default.
+    UnknownEntryError if a key is missing, DemonstrationError if there are neither keys nor a
+    default.
 
     Example:
         >>> groups = {"pos": ("x", "y"), "vel": ("dx", "dy")}
@@ -60,7 +65,7 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
         raise DemonstrationError(f"keys must say what to read: some of {_listed(groups)}")
     unknown = [key for key in wanted if key not in entries and key not in single]
     if unknown:
-        raise DemonstrationError(f"keys must be some of {_listed(groups)}, got {unknown[0]}")
+        raise UnknownEntryError(f"keys must be some of {_listed(groups)}, got {unknown[0]}")
     chosen = [entry for key in wanted for entry in entries.get(key, single.get(key, []))]
     if not chosen:
         raise DemonstrationError(f"{', '.join(wanted)} must hold entries, got none")

@@ -62,3 +62,31 @@ def test_slow_and_fast_motions_are_not_doubted(
 def test_recordings_must_last_two_control_periods() -> None:
     line = "recordings of 1.99 s are shorter than two control periods of 100 s: both must be in"
     assert doubt_of_times([0.01 * STEPS], 100.0).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("factors", "number", "looks"),
+    [
+        ((1, 1e3, 1, 1, 1), 1, "milliseconds: its steps are 100, those of the others 0.1"),
+        ((1, 1e6), 1, "microseconds: its steps are 1e+05, those of the others 0.1"),
+        ((1e9, 1, 1), 0, "nanoseconds: its steps are 1e+08, those of the others 0.1"),
+        ((1e3, 1, 1e3), 1, "seconds: its steps are 0.1, those of the others 100"),
+        ((1, 1, 400), 2, "milliseconds: its steps are 40, those of the others 0.1"),
+    ],
+)
+def test_recording_in_another_unit_than_the_others_is_named(
+    factors: tuple[float, ...], number: int, looks: str
+) -> None:
+    times = [factor * STEPS[:21] / 10 for factor in factors]
+    end = f" looks like {looks}; convert all times to seconds"
+    labels = "abcde"[: len(times)]
+    assert doubt_of_times(times, 0.1, labels) == f"time of demonstration {labels[number]}{end}"
+    assert doubt_of_times(times, 0.1) == f"time of recording {number + 1}{end}"
+
+
+@pytest.mark.parametrize("factors", [(1, 1, 50), (1, 1, 2e4), (0.01, 1, 1)])
+def test_recordings_may_have_steps_of_their_own(factors: tuple[float, ...]) -> None:
+    times = [factor * STEPS[:21] / 1000 for factor in factors]
+    assert doubt_of_times(times, 0.001) == ""
+    keyframes = [STEPS / 1000, torch.tensor([0.0, 1.0, 2.0])]
+    assert doubt_of_times(keyframes, 0.001) == ""

@@ -81,3 +81,42 @@ def test_demonstrations_are_continued_as_recordings_are() -> None:
     positions: Tensor = torch.from_numpy(wrapped(angles))[..., None]
     shown = unwrapped(Demonstrations(positions, 0.1, ("q",)), {"q": 2 * math.pi}, {})
     torch.testing.assert_close(shown.positions[..., 0], torch.from_numpy(angles))
+
+
+def starting(*starts: float) -> Recordings:
+    return recordings(*(start + 0.5 * TIMES for start in starts))
+
+
+@pytest.mark.parametrize(
+    ("starts", "line"),
+    [
+        (
+            (0, 2, 4, 6),
+            "q of demonstration 2 begins at 4 and is moved by -6.283, near the 0 of demonstration "
+            "0: if a turn of q is not 6.283, convert it to rad, or do not declare it an angle",
+        ),
+        (
+            (10, 15, -181),
+            "q of demonstration 2 begins at -181 and is moved by +360, near the 10 of "
+            "demonstration 0: if a turn of q is not 360, convert it to rad, or do not declare it "
+            "an angle",
+        ),
+    ],
+)
+def test_recording_that_is_moved_by_a_turn_that_no_jump_shows_is_named(
+    starts: tuple[float, ...], line: str
+) -> None:
+    with pytest.warns(UserWarning) as warned:
+        turns_of(starting(*starts), ["q"])
+    assert len(warned) == 1
+    assert str(warned[0].message) == line
+
+
+def test_starts_within_half_a_turn_are_not_doubted() -> None:
+    assert turns_of(starting(0, 3, -3), ["q"]) == {"q": 2 * math.pi}
+    assert turns_of(starting(0, 170, -170), ["q"]) == {"q": 360.0}
+
+
+def test_declared_angles_are_not_to_be_declared() -> None:
+    shown = recordings(wrapped(MOTIONS["through pi"]))
+    assert [*jumps_by_turns(shown)] and not [*jumps_by_turns(shown, ["q"])]

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from tests.tasks.test_own_robot import START, Arm, at_rest
 from torch_pmil import Demonstrations, MatchSpace, Task
-from torch_pmil.demonstrations import Recordings
+from torch_pmil.demonstrations import DemonstrationError, Recordings
 from torch_pmil.envs.turning import Continued, Turning
 from torch_pmil.tasks.own_robot import own_robot
 
@@ -120,6 +120,16 @@ def test_declared_angles_that_look_like_degrees_are_doubted() -> None:
     with pytest.warns(UserWarning, match="q looks like degrees: the robot starts at 179.1, wh"):
         task(recorded(reaches()[..., None]), initial=at_rest(180.0), evaluated=False)
     task(degrees, initial=at_rest(180.0), units=("rad", "rad/s"))  # and nothing is said
+
+
+@pytest.mark.parametrize("units", [(), ("rad", "rad/s")])
+def test_declared_angles_that_jump_by_a_turn_in_degrees_are_refused(
+    units: tuple[str, ...],
+) -> None:
+    degrees = recorded(torch.rad2deg(within_a_turn(reaches() - 0.5)))
+    message = "q looks like degrees: its recordings jump by 360, where a turn is 6.283; convert it"
+    with pytest.raises(DemonstrationError, match=message):
+        task(degrees, units=units)
 
 
 @pytest.mark.parametrize("rate", [1, None])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -70,7 +71,8 @@ def advice(
         control_period: of the robot, in s.
         options: with which the file was read, for the same command.
     """
-    doubt = "" if recordings.in_seconds else doubt_of_times(recordings.times, control_period)
+    unsure = not recordings.in_seconds
+    doubt = doubt_of_times(recordings.times, control_period, recordings.labels) if unsure else ""
     late = [] if doubt else list(_timing(recordings, control_period))
     angles = turns_of(recordings, list(wrapping(recordings)))
     found = [*_too_few(recordings), *filter(None, [doubt]), *late]
@@ -79,7 +81,8 @@ def advice(
     velocities = [recordings.names[column] for column in velocities_of(continued)]
     if (late or (angles and not doubt)) and len(recordings.labels) > 1:
         step = ["--time-step", f"{control_period:g}"]
-        command = [*ALIGN.split(), path, "demonstrations.npz", *step, *options]
+        out = "aligned.npz" if Path(path).name == "demonstrations.npz" else "demonstrations.npz"
+        command = [*ALIGN.split(), path, out, *step, *options]
         command += ["--velocities", *velocities] if velocities else []
         command += ["--angles", *angles] if angles else []
         found.append(f"align them: {shlex.join(command)}")

@@ -88,7 +88,7 @@ def load_demonstrations(
     """
     path = _found(Path(path))
     with within(path):
-        if path.suffix == ".npz":
+        if path.suffix.lower() == ".npz":
             demonstrations = load_npz(path, keys)
         else:
             given = time_step if _reader(path) is read_hdf5 else None
@@ -156,15 +156,23 @@ def _read(path: Path, keys: Sequence[str], time_step: float | None) -> Recording
 
 def _reader(path: Path) -> Callable[..., Recordings]:
     if path.is_dir():
-        fitting = [reader for held, reader in FOLDERS.items() if any(path.glob(held))]
+        fitting = [reader for held, reader in FOLDERS.items() if _holds(path, held)]
         if not fitting:
             raise DemonstrationError(
                 f"a folder of demonstrations must hold one of {', '.join(FOLDERS)}, got none"
             )
         return fitting[0]
-    if path.suffix not in FILES:
+    suffix = path.suffix.lower()
+    if suffix not in FILES:
         raise DemonstrationError(
             f"demonstrations must be a {', '.join(list(FILES)[:-1])} or {list(FILES)[-1]} file, or "
             f"a folder of them, got {path.suffix or 'no suffix'}"
         )
-    return FILES[path.suffix]
+    return FILES[suffix]
+
+
+def _holds(folder: Path, held: str) -> bool:
+    """Whether a folder holds a file, or one with a suffix in letters of any case."""
+    if held.startswith("*"):
+        return any(file.suffix.lower() == held[1:] for file in folder.iterdir())
+    return (folder / held).exists()

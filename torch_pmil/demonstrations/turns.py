@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -68,7 +69,10 @@ def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, 
 
 
 def turns_of(shown: Recordings | Demonstrations, names: Sequence[str]) -> dict[str, float]:
-    """Size of a turn of entries that are angles: 360 where they jump by it or exceed 4 pi."""
+    """Size of a turn of entries that are angles: 360 where they jump by it or exceed 4 pi.
+
+    Warns of the first recording whose start is moved by turns of a size that no jump shows.
+    """
     found = wrapping(shown)
     largest = [one.abs().amax(0) for one in values_of(shown)]
     turns = {}
@@ -76,26 +80,54 @@ def turns_of(shown: Recordings | Demonstrations, names: Sequence[str]) -> dict[s
         column = shown.names.index(name)
         degrees = max(one[column].item() for one in largest) > 2 * TURNS[0]
         turns[name] = found[name][0] if name in found else TURNS[degrees]
+        if name not in found:
+            _doubt_starts(shown, name, turns[name])
     return turns
 
 
-def jumps_by_turns(shown: Recordings | Demonstrations) -> Iterator[str]:
+def jumps_by_turns(
+    shown: Recordings | Demonstrations, declared: Collection[str] = ()
+) -> Iterator[str]:
     """Entries that jump by a turn although nobody declared them angles, a line each."""
     for name, (turn, number, sample) in wrapping(shown).items():
+        if name in declared:
+            continue
         if isinstance(shown, Recordings):
-            label, times = shown.labels[number], shown.times[number]
+            times = shown.times[number]
             at = (times[sample] - times[0]).item()
         else:
-            label, at = str(number), shown.time_step * sample
+            at = shown.time_step * sample
         yield (
-            f"{name} of demonstration {label} jumps by a turn ({turn:.4g}) at {at:.4g} s: if it is "
-            f"an angle, declare it, by angles=({name!r},) or pmil align --angles {name}"
+            f"{name} of demonstration {_label(shown, number)} jumps by a turn ({turn:.4g}) at "
+            f"{at:.4g} s: if it is an angle, declare it, by angles=({name!r},) or "
+            f"pmil align --angles {name}"
         )
 
 
 def values_of(shown: Recordings | Demonstrations) -> list[Tensor]:
     """Observations of each recording or demonstration, (T_n, M)."""
     return [*(shown.positions if isinstance(shown, Demonstrations) else shown.values)]
+
+
+def _label(shown: Recordings | Demonstrations, number: int) -> str:
+    """The name of a demonstration, or else its number."""
+    return shown.labels[number] if isinstance(shown, Recordings) else str(number)
+
+
+def _doubt_starts(shown: Recordings | Demonstrations, name: str, turn: float) -> None:
+    """Warn of the first recording that begins more than half a turn away from number 0."""
+    starts = [one[0, shown.names.index(name)].item() for one in values_of(shown)]
+    for number, start in enumerate(starts):
+        if moved := -round((start - starts[0]) / turn) * turn:
+            warnings.warn(
+                f"{name} of demonstration {_label(shown, number)} begins at {start:.4g} and is "
+                f"moved by {moved:+.4g}, near the {starts[0]:.4g} of demonstration "
+                f"{_label(shown, 0)}: if a turn of {name} is not {turn:.4g}, convert it to rad, or "
+                "do not declare it an angle",
+                UserWarning,
+                stacklevel=3,
+            )
+            return
 
 
 def _continued(angles: Tensor, near: float, turn: float) -> Tensor:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import Demonstrations, Recordings
-from torch_pmil.demonstrations.turns import jumps_by_turns, unwrapped, values_of
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
+from torch_pmil.demonstrations.turns import jumps_by_turns, unwrapped, values_of, wrapping
 from torch_pmil.envs.turning import TURN, Turning
 
 FAR = 2  # turns, over which few robots turn, and most angles in degrees do
@@ -44,6 +44,9 @@ def on_one_turn(
 
     Warns of holes, of declared angles that look like degrees, and of entries that jump by a turn
     although they were not declared.
+
+    Raises:
+        DemonstrationError: a declared angle jumps by a turn in degrees, and should not.
     """
     match, turns = space.match_space, {}
     for name, weights in zip(match.names, match.weights, strict=True):
@@ -51,13 +54,24 @@ def on_one_turn(
         sizes = weights[used].abs()
         if used and set(used) <= set(space.angles) and torch.all(sizes == sizes[0]):
             turns[name] = TURN * sizes[0].item()
+    _check_jumps(recorded, turns)
     far = [*_far_turned(recorded, space, turns)]
     shown = None if near is None else dict(zip(match.names, match(near).tolist(), strict=True))
     recorded = unwrapped(recorded, turns, shown or {})
     holes = recorded.holes() if isinstance(recorded, Recordings) else []
-    for doubt in [*holes, *far, *jumps_by_turns(recorded)]:
+    for doubt in [*holes, *far, *jumps_by_turns(recorded, turns)]:
         _warn(doubt)
     return recorded
+
+
+def _check_jumps(recorded: Demonstrations | Recordings, turns: Mapping[str, float]) -> None:
+    """Raise DemonstrationError if a declared angle jumps by a turn in degrees, and has another."""
+    for name, (jump, _, _) in wrapping(recorded).items():
+        if name in turns and jump > max(TURN, FAR * turns[name]):
+            raise DemonstrationError(
+                f"{name} looks like degrees: its recordings jump by {jump:.4g}, where a turn is "
+                f"{turns[name]:.4g}; convert it to rad"
+            )
 
 
 def _far_turned(

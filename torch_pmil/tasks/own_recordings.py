@@ -48,7 +48,7 @@ def read(
             f"{type(recorded).__name__}"
         )
     if isinstance(recorded, Recordings) and not recorded.in_seconds:
-        check_times(recorded.times, control_period)
+        check_times(recorded.times, control_period, recorded.labels)
     return recorded
 
 

@@ -59,11 +59,35 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
             "row 3, column y must be a finite number, or left out by keys, got 'far'",
         ),
         ("time,x,y\n0,1,2\n0,1,2", "row 3, time must increase, got 0.0 s after 0.0 s"),
+        ("time,x,y\n", "must hold samples, got a header alone"),
     ],
 )
 def test_malformed_file_of_a_folder_is_named(folder: Path, change: str, message: str) -> None:
     (folder / "demo_10.csv").write_text(change)
     assert refused(load_recordings, folder) == f"{folder}: demo_10.csv: {message}"
+
+
+def test_suffix_may_be_in_capitals(folder: Path, file: Path) -> None:
+    before = load_recordings(folder)
+    (folder / "demo_10.csv").rename(folder / "demo_10.CSV")
+    after = [load_recordings(folder), load_recordings(file.rename(file.with_suffix(".CSV")))]
+    for path in sorted(folder.iterdir()):
+        path.rename(path.with_suffix(path.suffix.upper()))
+    for read in [*after, load_recordings(folder)]:
+        assert read.labels == before.labels
+        assert all(map(torch.equal, read.values, before.values))
+    (folder / "demo_10.csv").write_text("time,x,y\n9,1,2")
+    message = "its name must differ from those of the files before it, got demo_10 again"
+    assert refused(load_recordings, folder).endswith(message)
+
+
+def test_labels_that_are_numbers_are_compared_as_numbers(tmp_path: Path) -> None:
+    labels = ["0", "1", "0.0", "01", "a", "a.0", str(10**20), str(10**20 + 1)]
+    rows = [f"{label},{time},1" for time, label in enumerate(labels)]
+    (tmp_path / "walks.csv").write_text("\n".join(["demonstration,time,x", *rows]))
+    read = load_recordings(tmp_path / "walks.csv")
+    assert read.labels == ("0", "1", *labels[4:])
+    assert [one.tolist() for one in read.times[:2]] == [[0, 2], [1, 3]]
 
 
 def test_columns_are_read_in_the_order_of_keys_and_renamed(file: Path) -> None:
@@ -189,6 +213,14 @@ def test_files_of_a_folder_may_differ_in_columns_that_keys_leave_out(folder: Pat
         (PLAIN.replace("time", "frame"), "row 1 must be demonstration,time,NAME,..., got demon"),
         (PLAIN.replace("time,x", "time_ms,time_s"), "row 1 must be demonstration,time,NAME,..., "),
         (PLAIN.replace("0.5,3", '"0,5",3'), "row 3, column time must be a finite number, got '0,5"),
+        (
+            PLAIN.replace(",", ";").replace("0.5;3", "0,5;3"),
+            "row 3, column time must be a finite number, got '0,5'; write a decimal point",
+        ),
+        (
+            PLAIN.replace("3,4", "1_5,4"),
+            "row 3, column x must be a finite number, or left out by keys, got '1_5'",
+        ),
         (PLAIN.replace("0.5", "1694012345.25").replace(",0,", ",1694012345.5,"), "row 3, time must "
          "increase, got 1694012345.25 s after 1694012345.5 s"),
         (

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Sequence
 from contextlib import nullcontext
+from decimal import Decimal
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ TIME_NAME = re.compile(
     r"(?:time|timestamp|t)(?:[ _]*[ _(\[](?P<unit>s|sec|seconds|ms|[uµμ]s|ns)[)\]]?)?",
     re.IGNORECASE,
 )
+NUMBER = re.compile(r"[-+]?\d+(\.\d*)?")  # as a label
+COMMA = re.compile(r"\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*", re.IGNORECASE)  # in place of a point
 PER_SECOND = {"m": 1e3, "u": 1e6, "µ": 1e6, "μ": 1e6, "n": 1e9}  # by the first letter of the unit
 
 
@@ -45,6 +48,7 @@ class _Row(NamedTuple):
 class _Table(NamedTuple):
     """A file: its label if it is one demonstration, its columns, its times' unit, its rows."""
 
+    name: str
     label: str
     header: list[str]  # in which the column of the time is called TIME
     unit: str  # of the time; empty if the header does not state it
@@ -68,13 +72,12 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     read = [TIME, *(entry.name for entry in entries), *targets]
     parts: dict[str, list[_Row]] = {}
     numbers: dict[str, list[list[float]]] = {}
+    spelled: dict[str | Decimal, str] = {}  # labels as they came first
     for table in tables:
-        with within(f"{table.label}.csv") if table.label else nullcontext():
+        with within(table.name) if table.label else nullcontext():
             columns = _places(table.header, read, () if keys else tables[0].header)
         for row in table.rows:
-            label = table.label or row.cells[table.header.index(LABEL)].strip()
-            if not label:
-                raise DemonstrationError(f"{row.place}, column {LABEL} must hold a name, got none")
+            label = table.label or _label(row, table.header.index(LABEL), spelled)
             parts.setdefault(label, []).append(row)
             numbers.setdefault(label, []).append(_numbers(row, read, columns, table.unit))
     check_count("demonstrations", len(parts))
@@ -101,13 +104,18 @@ def _tables(path: Path) -> list[_Table]:
     """The file, or those of a folder in the order of the numbers in their names."""
     if not path.is_dir():
         return [_table(path, "", 0)]
-    tables: list[_Table] = []
+    tables: dict[str, _Table] = {}
     cells = 0
-    for file in sorted(path.glob("*.csv"), key=lambda file: natural_order(file.name)):
+    files = [file for file in path.iterdir() if file.suffix.lower() == ".csv"]
+    for file in sorted(files, key=lambda file: natural_order(file.name)):
         with within(file.name):
-            tables.append(_table(file, file.stem, cells))
-        cells += len(tables[-1].rows) * len(tables[-1].header)
-    return tables
+            if file.stem in tables:
+                raise DemonstrationError(
+                    f"its name must differ from those of the files before it, got {file.stem} again"
+                )
+            table = tables[file.stem] = _table(file, file.stem, cells)
+        cells += len(table.rows) * len(table.header)
+    return [*tables.values()]
 
 
 def _table(path: Path, label: str, before: int) -> _Table:
@@ -136,7 +144,9 @@ def _table(path: Path, label: str, before: int) -> _Table:
             raise DemonstrationError(
                 f"{row.place} must have {len(header)} columns, got {len(row.cells)}"
             )
-    return _Table(label, header, unit, rows)
+    if label and not rows:
+        raise DemonstrationError("must hold samples, got a header alone")
+    return _Table(path.name, label, header, unit, rows)
 
 
 def _trimmed(line: list[str], least: int = 0) -> list[str]:
@@ -185,6 +195,14 @@ def _places(header: Sequence[str], read: Sequence[str], same: Sequence[str]) -> 
     return [header.index(name) for name in read]
 
 
+def _label(row: _Row, column: int, spelled: dict[str | Decimal, str]) -> str:
+    """The label of a row, as it came first: 0 and 0.0 are the same."""
+    label = row.cells[column].strip()
+    if not label:
+        raise DemonstrationError(f"{row.place}, column {LABEL} must hold a name, got none")
+    return spelled.setdefault(Decimal(label) if NUMBER.fullmatch(label) else label, label)
+
+
 def _targets(
     columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]
 ) -> Tensor:
@@ -202,14 +220,16 @@ def _numbers(row: _Row, names: Sequence[str], columns: Sequence[int], unit: str)
     """The numbers in some columns, of which the first is the time, in s."""
     numbers = []
     for name, column in zip(names, columns, strict=True):
+        cell = row.cells[column]
         try:
-            numbers.append(float(row.cells[column]))
+            numbers.append(math.nan if "_" in cell else float(cell))
         except ValueError:
             numbers.append(math.nan)
         if not math.isfinite(numbers[-1]):
             needed = name == TIME or name.startswith(TARGET_PREFIX)
             wanted = "a finite number" + ("" if needed else ", or left out by keys")
+            comma = "; write a decimal point" if COMMA.fullmatch(cell) else ""
             raise DemonstrationError(
-                f"{row.place}, column {name} must be {wanted}, got {row.cells[column]!r}"
+                f"{row.place}, column {name} must be {wanted}, got {cell!r}{comma}"
             )
     return [numbers[0] / PER_SECOND.get(unit[:1], 1.0), *numbers[1:]]

@@ -47,7 +47,9 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     DemonstrationError if the file is malformed.
     """
     if path.is_dir():
-        shapes = ", ".join(sorted(file.stem for file in path.glob("*.mat")))
+        shapes = ", ".join(
+            sorted(file.stem for file in path.iterdir() if file.suffix.lower() == ".mat")
+        )
         raise DemonstrationError(
             f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}"
         )

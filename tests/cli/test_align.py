@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -75,6 +76,16 @@ def test_output_that_is_there_is_replaced_if_asked_and_rests_are_kept(
         path.write_text("old")
     script(recorded, out, "--draw", picture, "--overwrite")
     assert load_demonstrations(out).duration > 1.3 and picture.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("broken", ["cli.align.draw", "demonstrations.Demonstrations.save"])
+def test_demonstrations_and_their_picture_are_written_both_or_neither(
+    script: Script, recorded: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    monkeypatch.setattr(f"torch_pmil.{broken}", Mock(side_effect=OSError("disk full")))
+    with pytest.raises(SystemExit, match=r"^error: disk full"):
+        script(recorded, recorded.with_suffix(".npz"), "--draw", recorded.with_suffix(".png"))
+    assert list(recorded.parent.iterdir()) == [recorded]
 
 
 @pytest.fixture

@@ -173,6 +173,8 @@ def test_command_that_is_advised_makes_what_training_takes(
     assert load_demonstrations("demonstrations.npz", 0.1).names == ("angle", "rate")
     end = ["before training", "- nothing to do: it is loaded as it is"]
     assert inspect("demonstrations.npz").splitlines()[-2:] == end
+    again = " demonstrations.npz aligned.npz --time-step 0.05"
+    assert again in inspect("demonstrations.npz", "--control-period", "0.05")
 
 
 def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_given(

@@ -12,6 +12,7 @@ import sys
 from contextlib import nullcontext
 from importlib.metadata import entry_points
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -130,6 +131,15 @@ def test_report_says_what_it_has_to_do_without(
     (whole / "video.mp4").touch()
     run_command(monkeypatch, "report", whole)
     assert capsys.readouterr().out == f"wrote {tmp_path / 'whole' / 'report.html'}\n"
+
+
+def test_command_that_is_stopped_by_ctrl_c_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: Printed
+) -> None:
+    monkeypatch.setattr(cli, "_imported", Mock(side_effect=KeyboardInterrupt))
+    with pytest.raises(SystemExit) as stop:
+        run_command(monkeypatch, "align")
+    assert stop.value.code == 130 and capsys.readouterr() == ("", "\nstopped\n")
 
 
 def test_working_folder_that_is_gone_is_one_line(

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,6 +20,7 @@ from typing import NoReturn
 from unittest.mock import Mock
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from matplotlib.figure import Figure
 
 from tests.helpers.run_script import ROOT, run_command
@@ -242,6 +244,27 @@ def test_output_that_is_ascii_or_broken_ends_nothing(
     assert "incomplete" not in run_into(writer, "third")
 
 
+@pytest.mark.parametrize(
+    "name", ["größe", "a(1)", "a=1", 'it\'s "a"', "ö/${seed}", "~/a#1", "'a=1'"]
+)
+def test_text_that_hydra_cannot_read_is_taken_as_it_is(
+    script: Script, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    given: list[settings.RunSettings] = []
+    monkeypatch.setattr(train, "task_of", lambda settings: given.append(settings) or interrupted())
+    with pytest.raises(SystemExit):
+        script(f"out={name}")
+    assert given[0].out == os.path.expanduser(name).strip("'").replace("${seed}", "0")
+
+
+@pytest.mark.parametrize("word", ["out=a,b", "out=ö,b", "out=[", "experiment=range(2)"])
+def test_text_that_may_be_several_values_is_taken_as_the_error_says(
+    script: Script, word: str
+) -> None:
+    (advised,) = shlex.split(error_of(script, word).rpartition("; if that is its value, write ")[2])
+    assert OverridesParser.create().parse_override(advised).value() == word.partition("=")[2]
+
+
 @pytest.mark.usefixtures("short_double_pendulum")
 @pytest.mark.parametrize(
     ("error", "code", "said"),
@@ -339,6 +362,17 @@ def test_flag_of_a_sweep_stands_anywhere(
     monkeypatch.setattr(train, "learn", lambda: given.append(sys.argv[1:]))
     script(*line.split())
     assert given == [["--multirun", "experiment=biorob", "seed=0,1"]]
+
+
+def test_sweep_that_is_stopped_says_how_to_go_on(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(train, "learn", interrupted)
+    with pytest.raises(SystemExit) as stop:
+        script("-m", "seed=0,1")
+    further = "pmil train --multirun seed=0,1 resume=true"
+    assert stop.value.code == 130
+    assert capsys.readouterr() == ("", f"\nstopped; go on with: {further}\n")
 
 
 @pytest.mark.parametrize(
@@ -489,6 +523,23 @@ def test_warnings_of_one_cause_are_ten_at_most(capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "run: warning: 0 is a copy" and len(lines) == 12
     assert lines[-2:] == ["run: warning: long", "run: warning: 990 more of copies"]
+
+
+def test_warnings_of_a_run_are_lines_like_those_of_its_demonstrations(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def doubtful(settings: object) -> NoReturn:
+        warnings.simplefilter("always")
+        warnings.warn("q looks like degrees:\ndivide it", UserWarning, stacklevel=1)
+        warnings.warn("no motion", RuntimeWarning, stacklevel=1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "task_of", doubtful)
+    with pytest.raises(SystemExit):
+        script("out=run")
+    printed, complained = capsys.readouterr()
+    assert printed == "warning: q looks like degrees: divide it\nwarning: no motion\n"
+    assert complained == "\nstopped; go on with: pmil train out=run resume=true\n"
 
 
 def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:

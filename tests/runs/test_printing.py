@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from torch_pmil.runs.printing import making_the_rest, success_rates, tell, warn_incomplete
+from torch_pmil.runs.run_folder import write_origin
 from torch_pmil.search.promise import Promise
 
 
@@ -49,6 +50,12 @@ def test_what_is_missing_is_one_line(capsys: pytest.CaptureFixture[str]) -> None
     )
     warn_incomplete("", ["video: none"], making_the_rest(Path("-a b")))
     assert "; pmil resume './-a b' makes" in capsys.readouterr().err
+
+
+def test_command_that_makes_the_rest_names_the_task_if_it_is_ones_own(tmp_path: Path) -> None:
+    for name, words in (("biorob", ""), ("own.py:make", " experiment=own.py:make")):
+        write_origin(tmp_path, {"command": f"pmil train seed=1 experiment={name}"})
+        assert making_the_rest(tmp_path) == f"pmil resume {tmp_path}{words}"
 
 
 @pytest.mark.parametrize(

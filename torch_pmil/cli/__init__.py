@@ -185,7 +185,11 @@ def main() -> None:
             os.getcwd()
         except OSError as error:
             sys.exit(f"error: the working folder cannot be used: {error.strerror}")
-        _run()
+        try:
+            _run()
+        except KeyboardInterrupt:
+            print("\nstopped", file=sys.stderr)
+            sys.exit(130)
         if lost := lost_output():
             sys.exit(f"error: standard output: {lost.strerror}")
 

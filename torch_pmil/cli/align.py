@@ -21,6 +21,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,6 +52,8 @@ from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
 from torch_pmil.demonstrations.turns import jumps_by_turns, turns_of, unwrapped
+from torch_pmil.files import replacing
+from torch_pmil.runs.printing import warnings_in_one_line
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
 
@@ -68,7 +71,7 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     check_columns("positions of --derive", [position for _, position in options.derive], known)
     check_columns("angles", options.angles, known)
     if not recordings.in_seconds:
-        check_times(recordings.times, options.time_step)
+        check_times(recordings.times, options.time_step, recordings.labels)
     recordings = unwrapped(recordings, turns_of(recordings, options.angles), {})
     preprocessed = [
         preprocessed_one(*one, known, options)
@@ -76,7 +79,7 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     ]
     times, values = zip(*preprocessed, strict=True)
     prepared = replace(recordings, times=times, values=values, names=tuple(names), places=())
-    for doubt in [*prepared.holes(), *jumps_by_turns(recordings)]:
+    for doubt in [*prepared.holes(), *jumps_by_turns(recordings, options.angles)]:
         print(f"warning: {doubt}", file=sys.stderr)
     if options.crop:
         columns = [names.index(rate) for rate in rates]
@@ -206,8 +209,10 @@ def main() -> None:
         reading = {"keys": options.keys, "names": options.names}
         step = options.recorded_time_step
         recordings = load_recordings(options.recorded, time_step=step, **reading)
-        demonstrations = align_recordings(recordings, options)
-        demonstrations.save(out)
-        if picture:
-            draw(recordings, demonstrations, picture)
+        with warnings_in_one_line(""):
+            demonstrations = align_recordings(recordings, options)
+        with replacing(picture) if picture else nullcontext() as drawn:  # both files or neither
+            if drawn:
+                draw(recordings, demonstrations, drawn)
+            demonstrations.save(out)
     print_written(out, demonstrations)

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from torch_pmil.cli import errors_in_one_line, parser_of, train
 from torch_pmil.files import short
+from torch_pmil.runs.printing import own_experiment
 from torch_pmil.runs.run_folder import read_command
 from torch_pmil.runs.settings import SETTINGS, word_of
 from torch_pmil.runs.summaries import RunError
-from torch_pmil.tasks.registry import is_own
 
 FIXED = {"out", "resume", "overwrite", "settings"}  # what says which run it is, and what is done
 
@@ -58,7 +58,7 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
             raise RunError(
                 f"{folder}: run.json is damaged: a setting must be NAME=VALUE, got {short(word)}"
             )
-    own = [word for word in words[2:] if word.startswith("experiment=") and is_own(word)]
+    own = own_experiment(words[2:])
     if own and not any(word.startswith("experiment=") for word in changed):
         raise RunError(
             f"{folder} is of a task of one's own, whose module would be executed: if you trust it, "

@@ -34,7 +34,7 @@ from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.files import bounded_line, in_words
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.lock import alone_in
-from torch_pmil.runs.overrides import check_overrides
+from torch_pmil.runs.overrides import as_text, check_overrides
 from torch_pmil.runs.pictures import tell_all
 from torch_pmil.runs.printing import (
     making_the_rest,
@@ -42,6 +42,7 @@ from torch_pmil.runs.printing import (
     say,
     warn_incomplete,
     warn_of,
+    warnings_in_one_line,
 )
 from torch_pmil.runs.run_folder import FinishedRunError
 from torch_pmil.runs.settings import (
@@ -85,17 +86,26 @@ def main() -> None:
     parser.add_argument("-h", "--help", action="store_true")
     try:
         given = parser.parse_intermixed_args(with_file(sys.argv[1:]))
-        check_overrides(given.overrides, given.multirun)
+        overrides = [as_text(word) for word in given.overrides]
+        check_overrides(overrides, given.multirun)
         if given.help:
             with hydra_errors():
-                print(help_of(given.overrides))
+                print(help_of(overrides))
             return
     except (ImportError, ValueError, OSError) as error:
         sys.exit(f"error: {in_words(error)}")
-    sys.argv[1:] = [*(["--multirun"] if given.multirun else []), *given.overrides]
+    sys.argv[1:] = [*(["--multirun"] if given.multirun else []), *overrides]
     register_launchers(CONFIG / "launcher")
-    with hydra_errors():
-        learn()
+    command = ["pmil", "train", *sys.argv[1:]]
+    if given.multirun:  # else joblib warns, after Ctrl-C, of what ended processes left
+        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
+    try:
+        with hydra_errors():
+            learn()
+    except KeyboardInterrupt:  # of a sweep: a run alone ends by itself
+        if not given.multirun:
+            raise
+        stop("", command)
 
 
 def help_of(overrides: list[str]) -> str:
@@ -145,14 +155,14 @@ def run(config: DictConfig) -> None:
     try:
         settings = settings_of(config)
         os.chdir(job.runtime.cwd)  # of the sweep's start: a cluster's worker may be elsewhere
-        task = task_of(settings)
-        warn_of(label, check(task))
-        with alone_in(settings.folder):
-            result = learned(label, alone, task, settings, command)
-            show(label, result.task, result, settings.folder)
+        with warnings_in_one_line(label):
+            task = task_of(settings)
+            warn_of(label, check(task))
+            with alone_in(settings.folder):
+                result = learned(label, alone, task, settings, command)
+                show(label, result.task, result, settings.folder)
     except (KeyboardInterrupt, RunStopped):
-        print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
-        sys.exit(130)
+        stop(label, command)
     except RobotError as error:
         further = again(command, "resume=true")
         fail(f"{label}error: {in_words(error)}; go on with: {further}", label)
@@ -213,6 +223,12 @@ def task_of(settings: RunSettings) -> Task:
     source = settings.demonstrations
     demonstrations = None if source is None else demonstrations_from(source)
     return load_experiment(settings.experiment, demonstrations).with_settings(**settings.changes)
+
+
+def stop(label: str, command: list[str]) -> NoReturn:
+    """End a run that was stopped, or a sweep, with the command that goes on with it."""
+    print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
+    sys.exit(130)
 
 
 def fail(message: str, label: str) -> NoReturn:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import shlex
 import sys
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from torch_pmil.demonstrations import DemonstrationError
 from torch_pmil.files import bounded_line
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
-from torch_pmil.runs.summaries import judged_alone
+from torch_pmil.runs.run_folder import read_command
+from torch_pmil.runs.summaries import RunError, judged_alone
 from torch_pmil.search.promise import Promise
+from torch_pmil.tasks.registry import is_own
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import Trial
 
@@ -46,6 +51,24 @@ def warn_of(label: str, findings: list[Finding]) -> None:
     for cause, count in counts.items():
         if count > MOST_WARNINGS:
             say(label, f"warning: {count - MOST_WARNINGS} more of {cause}")
+
+
+@contextmanager
+def warnings_in_one_line(label: str) -> Iterator[None]:
+    """Print a warning that is raised within like a finding, without its line of source code."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def print_warning(
+            message: Warning | str, category: type[Warning], *where: Any, **options: Any
+        ) -> None:
+            if category in (UserWarning, RuntimeWarning):
+                say(label, f"warning: {bounded_line(message)}")
+            else:
+                show(message, category, *where, **options)
+
+        warnings.showwarning = print_warning
+        yield
 
 
 def print_trial(label: str, task: Task, trial: Trial) -> None:
@@ -165,8 +188,20 @@ def making_the_rest(out: Path) -> str:
         >>> making_the_rest(Path("my runs/a"))
         "pmil resume 'my runs/a'"
     """
-    folder = f"./{out}" if str(out).startswith("-") else str(out)
-    return shlex.join(["pmil", "resume", folder])
+    folder, own = f"./{out}" if str(out).startswith("-") else str(out), list[str]()
+    with suppress(RunError, OSError):  # pmil resume says what is wrong with it
+        own = own_experiment(read_command(out))
+    return shlex.join(["pmil", "resume", folder, *own])
+
+
+def own_experiment(command: Sequence[str]) -> list[str]:
+    """The word that names a task of one's own, if there is one: ``pmil resume`` asks for it.
+
+    Example:
+        >>> own_experiment(["pmil", "train", "experiment=own.py:make", "seed=1"])
+        ['experiment=own.py:make']
+    """
+    return [word for word in command if word.startswith("experiment=") and is_own(word)][:1]
 
 
 def warn_incomplete(label: str, failures: list[str], remedy: str) -> None:

@@ -30,7 +30,7 @@ from torch_pmil.tasks.targets import TargetTask
 FILE = "settings="  # begins the word that names a file of settings
 FILE_BYTES = 2**14
 MOST_LISTS = 200  # in a file: one within the other they take long to read
-PLAIN = re.compile(r"(?!(null|true|false|nan|inf)$)(\.{0,2}/)?[a-z_][\w./-]*", re.IGNORECASE)
+PLAIN = re.compile(r"(?ai)(?!(null|true|false|nan|inf)$)(\.{0,2}/)?[a-z_][\w./-]*")
 WIDTH = 100  # characters of a line of help
 
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from reproduction.learned import Learned, load_learned, measured_success
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.mujoco_robot import MujocoRobotEnv
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.tasks.task import Task
 
 Successors = Callable[[Tensor, Tensor], Tensor]  # of states (N, D) and actions (N, F)
@@ -59,7 +59,7 @@ class KalmanFilter:
         """Belief over the next state after these actions."""
         A = slopes(self.successors, belief.mean, actions, STEP * self.readings)
         cov = A @ belief.cov @ A.mT + self.process(belief.mean, actions)
-        return Gaussian(self.successors(belief.mean, actions), (cov + cov.mT) / 2)
+        return Gaussian(self.successors(belief.mean, actions), symmetric(cov))
 
     def updated(self, belief: Gaussian, reading: Tensor) -> Gaussian:
         """Belief after readings (N, D) of the state."""
@@ -68,7 +68,7 @@ class KalmanFilter:
         kept = torch.eye(len(R)).to(R) - gain
         cov = kept @ belief.cov @ kept.mT + gain @ R @ gain.mT  # positive definite by its form
         mean = belief.mean + (gain @ (reading - belief.mean)[..., None])[..., 0]
-        return Gaussian(mean, (cov + cov.mT) / 2)
+        return Gaussian(mean, symmetric(cov))
 
 
 class FilteredPolicy:

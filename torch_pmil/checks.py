@@ -30,6 +30,11 @@ def plain(value: object) -> object:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def is_whole_number(value: object) -> bool:
+    """Whether a value is an integer of Python or NumPy, and not a bool."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 def check_whole(name: str, value: object, least: int, most: int | None = None) -> int:
     """A whole number of that range, of Python or NumPy, as an int; ValueError for another value.
 
@@ -40,7 +45,7 @@ def check_whole(name: str, value: object, least: int, most: int | None = None) -
         Traceback (most recent call last):
         ValueError: trials must be a whole number of at least 1, got 0
     """
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    whole = is_whole_number(value)
     if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
         wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")

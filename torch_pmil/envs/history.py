@@ -12,7 +12,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torch_pmil.envs.robot import RobotEnv, is_whole_number
+from torch_pmil.checks import is_whole_number
+from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.wrapped_robot import WrappedRobotEnv
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from torch_pmil.checks import is_whole_number
 from torch_pmil.envs.turning import Continued, Turning
 from torch_pmil.seeds import LARGEST_SEED
 
@@ -140,8 +140,3 @@ def check_num_envs(num_envs: int | None) -> None:
     """Raise ValueError unless ``num_envs`` is None, for one robot, or at least 1."""
     if num_envs is not None and not (is_whole_number(num_envs) and num_envs >= 1):
         raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
-
-
-def is_whole_number(value: object) -> bool:
-    """Whether a value is an integer of Python or NumPy, and not a bool."""
-    return isinstance(value, Integral) and not isinstance(value, bool)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-SLOW = {"04_swing_up.ipynb", "06_targets.ipynb"}  # longer than a minute, as they say at their top
+SLOW = {"01_swing_up.ipynb", "06_targets.ipynb"}  # longer than a minute, as they say at their top
 ROOT = Path(__file__).parents[1]
 
 

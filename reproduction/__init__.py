@@ -19,7 +19,7 @@ from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.imperfect import IMPERFECT
 from reproduction.improvement import IMPROVEMENT_STUDY
 from reproduction.masses import MASSES
-from reproduction.noise import NOISE
+from reproduction.noise import NOISE, NOISY_ROBOTS
 from reproduction.own_parts import OWN_PARTS
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
@@ -61,6 +61,7 @@ PAPER = {
         DELAY,
         BIOROB_HISTORY,
         NOISE,
+        NOISY_ROBOTS,
         PEERS_STUDY,
         RECORDED_PEERS,
         SENSITIVITY,

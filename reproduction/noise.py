@@ -1,10 +1,11 @@
-"""The double pendulum with noisy sensors, 0.05 rad and 0.5 rad/s or less, at each step anew.
+"""Robots with noisy sensors, 0.05 rad and 0.5 rad/s or less, at each step anew.
 
-Policy and model see the last three readings with the torques between them, or the last one, or
-positions alone. Success is that of the saved policies from fresh starts, by the true states. The
-model of all experience then predicts 1, 5, 10 and 25 steps of the saved policy from the states of
-fresh rollouts, and is compared with the readings there. Policies that see one reading also act
-behind a filter (:mod:`reproduction.filtering`).
+Policy and model of a double pendulum see the last three readings with the torques between them, or
+the last one, or positions alone. Success is that of the saved policies from fresh starts, by the
+true states. The model of all experience then predicts 1, 5, 10 and 25 steps of the saved policy
+from the states of fresh rollouts, and is compared with the readings there. Policies that see one
+reading also act behind a filter (:mod:`reproduction.filtering`). The double pendulum with servos
+and the BioRob learn with the same noise.
 """
 
 from __future__ import annotations
@@ -40,16 +41,33 @@ def noisy() -> dict[str, Task]:
     """
     plain = replace(with_noise(NOISE_STD), name="double_pendulum_noisy")
     less = replace(with_noise(LESS), name="double_pendulum_less_noisy")
-    past = with_history(plain, past_entries=PAST, past_actions=PAST)
     places = with_history(less, positions_only=True, past_actions=1)
     return {
-        "three readings": replace(
-            past.with_settings(tied_lengthscales=True), name=f"{plain.name}_remembered"
-        ),
+        "three readings": of_three_readings(plain),
         ONE: plain,
         f"one reading, {LESS:g} rad": less,
         PLACES: replace(places, name=f"{less.name}_positions"),
     }
+
+
+def of_three_readings(task: Task) -> Task:
+    """The same task by the last three readings and the actions between them."""
+    past = with_history(task, past_entries=PAST, past_actions=PAST)
+    return replace(past.with_settings(tied_lengthscales=True), name=f"{task.name}_remembered")
+
+
+def other_robots() -> dict[str, Task]:
+    """Other robots with noisy sensors, by their names in the figure.
+
+    Example:
+        >>> [task.space.dim for task in other_robots().values()]
+        [4, 16, 6]
+    """
+    servos, arm = (
+        replace(with_noise(NOISE_STD, name), name=f"{name}_noisy")
+        for name in ("double_pendulum_servo", "biorob")
+    )
+    return {"servos": servos, "servos, three readings": of_three_readings(servos), "BioRob": arm}
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
@@ -74,7 +92,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         kept = [run["success_rate"] >= task.method.ending.promise for run in promised]
         headline |= {f"promised{end}": len(promised), f"promise_kept{end}": sum(kept)}
     task, plain = known[ONE], load_experiment("double_pendulum")
-    given = task, plain, noise_of(NOISE_STD), starts, START_SEED
+    given = task, plain, noise_of(NOISE_STD, task.space.names), starts, START_SEED
     filtered = [behind_filters(folder, *given) for folder in folders[parts[ONE]]]
     headline |= {
         f"positions_only_{LESS:g}": headline.pop(f"mean_saved_success_rate_{known[PLACES].name}"),
@@ -88,4 +106,10 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 
 NOISE = PaperExperiment(
     "noise", "the double pendulum with noisy sensors", partial(needed_runs, noisy), results
+)
+NOISY_ROBOTS = PaperExperiment(
+    "noisy_robots",
+    "the double pendulum with servos and the BioRob with noisy sensors",
+    partial(needed_runs, other_robots),
+    partial(results_of, other_robots, "noisy_robots"),
 )

@@ -47,14 +47,15 @@ def with_start_std(std: float) -> Task:
 
 
 def with_noise(std: float, name: str = "double_pendulum") -> Task:
-    """The double pendulum of that name with sensor noise of ``std`` (rad) in the angles.
+    """The robot of that name with sensor noise of ``std`` (rad) in the angles.
 
     The learner's p(x_0) is the sensors' view of the start.
 
     The states that the policy sees and the model learns from are noisy. So are those by which a run
     judges its own rollouts.
     """
-    experiment, noise = load_experiment(name), noise_of(std)
+    experiment = load_experiment(name)
+    noise = noise_of(std, experiment.space.names)
     return replace(
         experiment,
         make_env=partial(experiment.make_env, observation_std=noise.tolist()),
@@ -62,14 +63,15 @@ def with_noise(std: float, name: str = "double_pendulum") -> Task:
     )
 
 
-def noise_of(std: float) -> Tensor:
-    """Standard deviations of the readings q1, dq1, q2, dq2, of ``std`` (rad) in the angles, (4,).
+def noise_of(std: float, names: Sequence[str]) -> Tensor:
+    """Standard deviations of the readings of these names, of ``std`` (rad) in the angles, (D,).
 
     Example:
-        >>> noise_of(0.05).tolist()
+        >>> noise_of(0.05, ("q1", "dq1", "q2", "dq2")).tolist()
         [0.05, 0.5, 0.05, 0.5]
     """
-    return std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
+    factors = [VELOCITY_NOISE if name.startswith("d") else 1.0 for name in names]
+    return std * torch.tensor(factors, dtype=torch.float64)
 
 
 def with_demonstrations(count: int) -> Task:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,7 @@ from torch_pmil import (
     shipped_demonstrations,
     trajectory_kl,
 )
+from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import PDMovements, RandomActions
 from torch_pmil.control.trigonometric_polynomial import cosine, match_of
@@ -1029,6 +1031,15 @@ def test_misuse_is_one_line_that_says_what_was_expected_and_what_came(
     assert type(caught.value) is error
     assert said in message and re.search(r"\bgot\b", message)
     assert "\n" not in message and len(message) < LONGEST
+
+
+@pytest.mark.parametrize("kind", [float, np.float32, np.int64, np.array, torch.tensor, Fraction])
+def test_positive_number_may_be_of_any_kind_but_bool(kind: Callable[[int], object]) -> None:
+    found = check_positive("width", kind(3))
+    assert found == 3 and type(found) is float
+    for truth in (True, np.bool_(True), np.array(True), torch.tensor(True)):
+        with pytest.raises(ValueError, match="width must be a positive finite number, got "):
+            check_positive("width", truth)
 
 
 def test_table_has_at_least_300_rows() -> None:

@@ -64,18 +64,25 @@ def whole_multiple(value: float, unit: float) -> int | None:
     return round(ratio) if whole and ratio >= 1 - WHOLE else None
 
 
-def check_positive(name: str, value: object, zero: bool = False) -> None:
-    """Raise ValueError unless a value is a finite number above zero, or zero if ``zero`` is True.
+def check_positive(name: str, value: object, zero: bool = False) -> float:
+    """A finite number above zero, or zero if ``zero`` is True, of Python, NumPy or PyTorch.
+
+    It is returned as a float; ValueError for another value.
 
     Example:
+        >>> check_positive("width", np.float32(0.5))
+        0.5
         >>> check_positive("width", float("nan"))
         Traceback (most recent call last):
         ValueError: width must be a positive finite number, got nan
     """
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not 0 <= value <= LARGEST or (value == 0 and not zero):  # type: ignore[operator]
+    single = isinstance(value, np.generic | np.ndarray | Tensor) and value.ndim == 0
+    number = value.item() if single else value  # type: ignore[attr-defined]
+    real = isinstance(number, Real) and not isinstance(number, bool)
+    if not real or not 0 <= number <= LARGEST or (number == 0 and not zero):  # type: ignore[operator]
         wanted = "a finite number that is not negative" if zero else "a positive finite number"
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
+    return float(number)  # type: ignore[arg-type]
 
 
 def check_number(name: str, value: object) -> None:

@@ -17,6 +17,7 @@ from tests.runs.report.test_report import OLD, run_of
 from torch_pmil import cli
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.demonstrations.errors import TIME_STEP
 from torch_pmil.runs.run_folder import write_origin
 
 LONGEST = 800  # characters of a line, in which all settings and all shapes of the LASA set fit
@@ -266,7 +267,7 @@ LINES = (
     ("inspect columns.csv", "columns.csv: row 2 must have 4 columns, got 5"),
     ("inspect own.csv --keys z", "own.csv: keys must be some of x, y, got z"),
     ("inspect own.csv --names x x", "own.csv: names must be different, one per column, got 'x' 2"),
-    ("inspect own.csv --recorded-time-step 0.1", "own.csv: time_step must be left out"),
+    ("inspect own.csv --recorded-time-step 0.1", f"own.csv: {TIME_STEP} must be"),
     (
         "inspect own.csv --recorded-time-step fast",
         "argument --recorded-time-step: invalid float value: 'fast'",

@@ -185,6 +185,9 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
         for number, length in enumerate((30, 40)):
             file[f"data/demo_{number}/obs/q"] = np.linspace(0, 1, length) ** 2
     monkeypatch.chdir(tmp_path)
+    for line in ("inspect reach.hdf5", "align reach.hdf5 aligned.npz"):
+        with pytest.raises(SystemExit, match=r"\(--recorded-time-step .*\) must be given, in s"):
+            run_command(monkeypatch, *line.split())
     printed = inspect("reach.hdf5", "--recorded-time-step", "0.05", "--control-period", "0.25")
     advised = next(line for line in printed.splitlines() if line.startswith("- align them: "))
     options = "--time-step 0.25 --recorded-time-step 0.05"

@@ -68,6 +68,8 @@ def test_file_says_what_it_needs(policy: ModulePolicy, tmp_path: Path) -> None:
     save_policy(path, policy, SPACE, control_period=0.1)
     with pytest.raises(PolicyFileError, match="needs the function that makes it: 'Sequential"):
         load_policy(path)
+    with pytest.raises(TypeError, match=r"policy must make .*, got a function of \(features\)"):
+        load_policy(path, lambda features: nn.Linear(features, 2))
     with pytest.raises(PolicyFileError, match=r"must be those of the module, .*module\.weight"):
         load_policy(path, nn.Linear)
     with pytest.raises(PolicyFileError, match=r"module\.0\.weight must have shape \(9, 3\)"):

@@ -105,6 +105,35 @@ def test_robot_that_shows_itself_in_one_array_is_recorded_as_it_moved() -> None:
     assert torch.equal(shown["next", "pixels"][:, 0, 0, 0], moved.byte())
 
 
+class OldReset(Dial):
+    def reset(self, **given: Any) -> np.ndarray:  # type: ignore[override]
+        return super().reset(**given)[0]
+
+
+class Unseeded(Dial):
+    def reset(self) -> np.ndarray:  # type: ignore[override]
+        return super().reset()[0]
+
+
+class OldStep(Dial):
+    def step(self, action: np.ndarray) -> tuple:  # type: ignore[override]
+        shown, reward, end, _, info = super().step(action)
+        return shown, reward, end, info
+
+
+@pytest.mark.parametrize(
+    ("env", "got"),
+    [
+        (OldReset, "ndarray from reset"),
+        (Unseeded, r"reset\(\) .*"),
+        (OldStep, "4 values from step"),
+    ],
+)
+def test_environment_of_the_old_gym_is_named(env: type[Dial], got: str) -> None:
+    with pytest.raises(ValueError, match=rf"^env must have gymnasium's API: .*; got {got}: change"):
+        OneRobot(env(), control_period=0.1)(seed=0).rollout(2)
+
+
 class Hidden(Dial):
     """Says that it gives pictures, and gives none."""
 

@@ -17,7 +17,7 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.own_dynamics import OwnDynamics
-from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.model.rollout import PredictionError, predict_trajectory
 from torch_pmil.model.sampled_rollouts import SampledPrediction, sample_consistent_rollouts
 
 PLAIN = StateSpace(("a", "b"), ("", ""), (), joint_match(("a", "b"), ("", "")))
@@ -212,6 +212,38 @@ def test_model_without_a_slope_is_refused(model: object, draws: Draws) -> None:
     assert functions(inputs).isfinite().all()  # without a search nothing is lacking
     with pytest.raises(ValueError, match="must be differentiable in the inputs"):
         functions(inputs.requires_grad_())
+
+
+class _MeanNaN(ByMoments):
+    def moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        mean, variance = super().moments(inputs)
+        return torch.nan * mean, variance
+
+
+class _VarianceNaN(ByMoments):
+    def moments(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        mean, variance = super().moments(inputs)
+        return mean, torch.nan * variance
+
+
+class _SamplesNaN(BySamples):
+    def sample(self, count: int, generator: torch.Generator) -> Any:
+        functions = super().sample(count, generator)
+        return lambda inputs: torch.nan * functions(inputs)
+
+
+@pytest.mark.parametrize(
+    ("model", "method"),
+    [(_MeanNaN(), "moments"), (_VarianceNaN(), "moments"), (_SamplesNaN(), "sample")],
+)
+def test_model_that_returns_nan_is_named_with_its_method(
+    model: object, method: str, draws: Draws
+) -> None:
+    own, start = OwnDynamics(model, 3, 2), draws.belief(2)
+    own.fit(*data(draws))
+    message = rf"^prediction of step 1 of 3 .*: {method}\(\) of the model returned nan$"
+    with pytest.raises(PredictionError, match=message):
+        SampledPrediction(10)(start, policy(), own, PLAIN, 3)
 
 
 def test_model_without_data_says_so() -> None:

@@ -109,6 +109,11 @@ def test_module_holds_a_robot_whose_actions_are_targets() -> None:
     [
         ({"policy": nn.Linear(4, 1)}, TypeError, "policy must make a torch.nn.Module from the"),
         (
+            {"policy": lambda features: nn.Linear(features, 1)},
+            TypeError,
+            r"features and actions, as .*Linear does, got a function of \(features\): too many",
+        ),
+        (
             {"policy": lambda i, o: nn.Linear(i, 3)},
             ValueError,
             r"to \(2, 1\), got \(2, 3\)",

@@ -127,6 +127,10 @@ def test_numbers_of_numpy_are_those_of_python() -> None:
         ({"initial": at(0.0, 0.0, 0.0)}, "initial must be over the 4 entries of the state, got 3"),
         ({"box": {"q": 1}}, "limits of q must be two numbers, low < high, got 1"),
         ({"success": 1}, "success must be a function of states, got int"),
+        (
+            {"success": lambda states: states[:, -1, 0] > 1, "tolerance": 0.1},
+            "tolerance must be left out beside success, which alone says what a success is",
+        ),
         ({"success": lambda states: states[:, -1, 0].abs()}, "(3,), whether each motion succeeds"),
         ({"success": lambda states: states[..., 0] < 1}, "(3,), whether each motion succeeds, got"),
         ({"success": lambda states: True}, "whether each motion succeeds, got bool"),

@@ -110,6 +110,12 @@ def test_what_is_said_is_kept() -> None:
     assert made.space.feature_names == ("dq", "sin q", "cos q")
 
 
+def test_what_is_none_is_estimated_like_what_is_left_out() -> None:
+    made, plain = task(initial=None, actions=None, noise_std=None, method=None), task()
+    assert torch.equal(made.initial.mean, plain.initial.mean)
+    assert made.actions is not None and made.adjustable == plain.adjustable
+
+
 def test_linear_policy_is_searched_in_place_of_the_network() -> None:
     made = task(policy=LinearPolicy, initial_weight_std=0.2)
     policy = made.make_policy(torch.Generator().manual_seed(0))

@@ -109,7 +109,7 @@ class KnownPart:
         Raises:
             ValueError: a name is not an entry, or a velocity follows from another one.
         """
-        check_positive("time_step", time_step)
+        time_step = check_positive("time_step", time_step)
         check_whole("num_actions", num_actions, 1)
         index = {name: number for number, name in enumerate(names)}
         unknown = [name for pair in velocities.items() for name in pair if name not in index]

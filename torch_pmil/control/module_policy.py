@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from inspect import signature
 from typing import Self
 
 import torch
@@ -106,6 +107,28 @@ class ModulePolicy(PolicyNetwork):
         if not output.isfinite().all():
             raise ValueError(f"policy must map {wanted}, got numbers that are not finite")
         return output
+
+
+def check_maker(make: object) -> None:
+    """Raise TypeError unless an object takes the numbers of features and of actions, in that order.
+
+    :class:`LinearPolicy` itself is one too.
+
+    Example:
+        >>> check_maker(nn.Linear)
+    """
+    wanted = (
+        "policy must make a torch.nn.Module from the numbers of features and actions, as "
+        "torch.nn.Linear does"
+    )
+    if isinstance(make, nn.Module) or not callable(make):
+        raise TypeError(f"{wanted}, got {type(make).__name__}")
+    taken = signature(make)
+    try:
+        if make is not LinearPolicy:
+            taken.bind(1, 1)
+    except TypeError as error:
+        raise TypeError(f"{wanted}, got a function of {taken}: {error}") from error
 
 
 # how a policy in place of the RBF network is made

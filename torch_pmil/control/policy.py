@@ -146,7 +146,7 @@ class SquashedPolicy(PolicyNetwork):
         """
         check_tensor("features", features, ("S", self.num_inputs))
         check_tensor("actions", actions, (len(features), len(self.u_max)))
-        check_positive("ridge", ridge)
+        ridge = check_positive("ridge", ridge)
         raw = before_squashing((actions - self.u_middle) / self.u_max)
         self._fit(features.double(), raw, ridge)
 

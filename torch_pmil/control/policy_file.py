@@ -36,7 +36,7 @@ from torch import Tensor
 from torch_pmil.checks import check_finite_entries
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.linear_policy import LinearPolicy
-from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy
+from torch_pmil.control.module_policy import AnyPolicy, MakeModule, ModulePolicy, check_maker
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -107,6 +107,7 @@ def load_policy(path: Path | str, policy: MakeModule | None = None) -> StatePoli
     Raises:
         PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit
             each other or the module.
+        TypeError: ``policy`` cannot be called so.
         OSError: the file cannot be read.
 
     Example:
@@ -144,6 +145,7 @@ def _network(content: Mapping[str, Any], inputs: int, make: MakeModule | None) -
             "its policy is a module of your own, so load_policy(path, policy=...) needs the "
             f"function that makes it: {short(words)}"
         )
+    check_maker(make)
     u_max = parameters.get("u_max")
     if not (isinstance(u_max, Tensor) and u_max.ndim == 1 and is_whole(u_max)):
         raise PolicyFileError(f"parameter u_max must be a tensor (F,), got {short(u_max)}")

@@ -59,7 +59,7 @@ class StateBox:
             _check_bounds(name, bounds)
         if not len(self._finite[1]):
             raise ValueError(f"limits must hold a finite number, got {dict(self.limits)}")
-        check_positive("threshold", self.threshold)
+        object.__setattr__(self, "threshold", check_positive("threshold", self.threshold))
         if self.threshold >= 1:
             raise ValueError(f"threshold must be below 1, got {self.threshold}")
 

@@ -66,7 +66,7 @@ class StatePolicy(nn.Module):
                 f"policy must see the features {', '.join(inputs)}, got one of {policy.num_inputs} "
                 "features"
             )
-        check_positive("control_period (s)", control_period)
+        control_period = check_positive("control_period (s)", control_period)
         own = ActionSpace.around(policy.u_middle, policy.u_max, (), ())
         if actions is not None and not _same_range(actions, own):
             raise ValueError(f"actions must be those of the policy, {own}, got {actions}")

@@ -30,6 +30,8 @@ FILE_BYTES = 256 * MIB  # of a file that is read as a whole
 TEXT_BYTES = 64 * MIB  # of a CSV file, whose cells take ten times that, or a MATLAB file
 SET_BYTES = 2**40  # of a data set of which columns are read, beside its pictures
 NAME = 200  # characters of the name of an entry
+# the argument of the functions, and the option of the commands
+TIME_STEP = "time_step (--recorded-time-step of pmil inspect and pmil align)"
 HEAD = 64  # bytes by which a file shows what it is
 SIGNS = {  # with which files begin, whatever their suffix
     b"version https://git-lfs": "a Git LFS pointer: git lfs pull fetches the file it stands for",

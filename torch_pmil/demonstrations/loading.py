@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
-from torch_pmil.demonstrations.errors import DemonstrationError, within
+from torch_pmil.demonstrations.errors import TIME_STEP, DemonstrationError, within
 from torch_pmil.demonstrations.formats.csv_files import read_csv
 from torch_pmil.demonstrations.formats.hdf5 import read_hdf5
 from torch_pmil.demonstrations.formats.lasa import read_lasa
@@ -57,7 +57,7 @@ def load_recordings(
             ``observation.state`` of LeRobot, and the observation of the others if it is one data
             set.
         names: of the entries, in place of those in the file.
-        time_step: seconds between samples, for files without times: Minari and robomimic.
+        time_step: seconds between samples, for files that do not say: Minari and some robomimic.
 
     Raises:
         DemonstrationError: the file is malformed, or an argument does not fit it.
@@ -80,8 +80,8 @@ def load_demonstrations(
     """Load demonstrations that have the same number of samples and one time step.
 
     Arguments and errors are those of :func:`load_recordings`. If the file holds times, their step
-    must be ``time_step``, unless that is None; a Minari or robomimic file is taken to have that
-    step.
+    must be ``time_step``, unless that is None; a Minari or robomimic file that does not say is
+    taken to have that step.
 
     Raises:
         DemonstrationError: also if lengths or time steps differ.
@@ -149,7 +149,7 @@ def _read(path: Path, keys: Sequence[str], time_step: float | None) -> Recording
         return read_hdf5(path, keys, time_step)
     if time_step is not None:
         raise DemonstrationError(
-            f"time_step must be left out: the file has times of its own, got {time_step}"
+            f"{TIME_STEP} must be left out: the file has times of its own, got {time_step}"
         )
     return reader(path, keys)
 

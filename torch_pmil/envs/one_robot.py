@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from tensordict.utils import NestedKey
 from torchrl.data import Bounded
-from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
+from torchrl.envs import EnvBase, FrameSkipTransform, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
 from torch_pmil.checks import check_whole, whole_multiple
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
+from torch_pmil.envs.gym_api import GymnasiumEnv
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
 from torch_pmil.envs.layers import resetting_layer
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
@@ -45,8 +46,9 @@ class OneRobot:
     Raises:
         TypeError: ``env`` is not an environment.
         ValueError: the control period is not a whole number of the environment's steps, or their
-            length is unknown. The environment resets itself. A robot of this package has another
-            period. Or a physical robot shows cosine and sine, or is asked for several times.
+            length is unknown. The environment resets itself, or has the API of the old gym. A robot
+            of this package has another period. Or a physical robot shows cosine and sine, or is
+            asked for several times.
         ModuleNotFoundError: gymnasium is not installed.
 
     Example:
@@ -81,14 +83,14 @@ class OneRobot:
             self.draws = "pixels" in env.observation_spec
         elif gymnasium is not None and isinstance(env, gymnasium.Env):
             steps = steps_per_action or _steps_of(env, control_period)
-            self.env = GymWrapper(env)
+            self.env = GymnasiumEnv(env)
             self.name = env.spec.id if env.spec else type(env.unwrapped).__name__
             self.draws = env.render_mode == "rgb_array"
         else:
             got = f"the class {env.__name__}" if isinstance(env, type) else type(env).__name__
             raise TypeError(
                 "env must be an environment of TorchRL or gymnasium, or the name of one of "
-                f"gymnasium, got {got}"
+                f"gymnasium (shimmy converts those of gym), got {got}"
             )
         if layer := resetting_layer(self.env):
             raise ValueError(

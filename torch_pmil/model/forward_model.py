@@ -87,6 +87,10 @@ class ForwardModel(nn.Module):
     def functions(self, count: int, generator: torch.Generator) -> Functions:
         """Draw ``count`` functions that are consistent with the data, each for its own inputs."""
 
+    def fault_at(self, inputs: Tensor) -> str:
+        """Why no finite state follows inputs (N, *batch, D' + F); "" if the model is not why."""
+        return ""
+
     @property
     @abstractmethod
     def noise(self) -> Tensor:

@@ -103,6 +103,14 @@ class OwnDynamics(ForwardModel):
 
         return checked
 
+    @torch.no_grad()
+    def fault_at(self, inputs: Tensor) -> str:
+        """Which method of the object returns NaN at finite inputs; "" if none does."""
+        outputs = self.functions(len(inputs), torch.Generator().manual_seed(FIT_SEED))(inputs)
+        if not inputs.isfinite().all() or not outputs.isnan().any():
+            return ""
+        return f"{'sample' if _has(self.own, 'sample') else 'moments'}() of the model returned nan"
+
     @property
     def noise(self) -> Tensor:
         """Variances (E,) of what no function explains; ValueError where they have another shape."""

@@ -12,7 +12,7 @@ from torch_pmil.control.policy import Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
 from torch_pmil.model.forward_model import ForwardModel
-from torch_pmil.model.rollout import check_finite, check_start_belief
+from torch_pmil.model.rollout import PredictionError, check_finite, check_start_belief
 from torch_pmil.seeds import LARGEST_SEED
 
 
@@ -137,7 +137,14 @@ class ParticlePrediction:
         """
         states = self.rollouts(initial, policy, dynamics, space, horizon)
         trajectory = _fitted(states[..., 1:, :])
-        check_finite(trajectory, space)
+        try:
+            check_finite(trajectory, space)
+        except PredictionError as error:
+            features = space.features(states[..., error.step - 1, :])
+            fault = dynamics.fault_at(torch.cat([features, policy.controller(features)], -1))
+            if not fault:
+                raise
+            raise PredictionError(f"{error}: {fault}", error.step) from error
         return trajectory
 
     def rollouts(

@@ -187,7 +187,7 @@ def url(path: Path) -> str:
 
 
 def _write(path: Path | str, frames: Iterable[np.ndarray], fps: float, form: list[str]) -> None:
-    check_positive("fps", fps)
+    fps = check_positive("fps", fps)
     frames = iter(frames)
     first = next(frames, None)
     if first is None:

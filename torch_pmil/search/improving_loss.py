@@ -71,8 +71,7 @@ class ImprovingKLLoss(TrajectoryKLLoss):
         **options: Unpack[LossOptions],
     ) -> None:
         super().__init__(actor_network, dynamics, space, demonstrated, noise_std, **options)
-        check_positive("imitation_weight", imitation_weight)
-        self.imitation_weight = imitation_weight
+        self.imitation_weight = check_positive("imitation_weight", imitation_weight)
         # in a tuple, so that policy and model are not registered a second time
         self._parts = (cost.loss(actor_network, dynamics, space, self.horizon),)
         self.register_buffer("improving", torch.tensor(False))

@@ -75,7 +75,8 @@ class Promise:
             raise ValueError(
                 f"promise must be a number above 0 and at most {LARGEST}, got {self.rate!r}"
             )
-        check_positive("tolerance", self.tolerance, zero=True)
+        tolerance = check_positive("tolerance", self.tolerance, zero=True)
+        object.__setattr__(self, "tolerance", tolerance)
 
     @property
     def aim(self) -> float:

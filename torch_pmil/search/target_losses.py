@@ -60,7 +60,7 @@ class TargetLoss(ExpectedCost):
                 f"{tuple(target.shape)}"
             )
         check_tensor("target", target, (M,))
-        check_positive("width", width)
+        width = check_positive("width", width)
         weight = torch.eye(M) if weight is None else weight
         check_tensor("weight", weight, (M, M))
         self.register_buffer("target", target.double())

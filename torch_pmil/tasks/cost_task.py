@@ -66,7 +66,8 @@ class CostTask(Task):
     def __post_init__(self) -> None:
         check_cost(self.cost)
         object.__setattr__(self, "steps", check_whole("steps", self.steps, 1))
-        check_positive("control_period", self.control_period)
+        period = check_positive("control_period", self.control_period)
+        object.__setattr__(self, "control_period", period)
         super().__post_init__()
         if self.centre_std is not None:
             check_tensor("centre_std", self.centre_std, (self.space.dim,))

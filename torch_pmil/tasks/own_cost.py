@@ -85,6 +85,11 @@ def own_cost(
         raise TypeError(
             "success must say which motions are successes, since a function is the cost"
         )
+    if success is not None and (besides := sorted({"error", "tolerance"} & settings.keys())):
+        raise ValueError(
+            f"{' and '.join(besides)} must be left out beside success, which alone says what a "
+            "success is"
+        )
     check_whole("horizon", horizon, 1)
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_cost, CostTask, **said, **settings)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from torch import nn
-
-from torch_pmil.control.module_policy import MakePolicy
+from torch_pmil.control.module_policy import MakePolicy, check_maker
 from torch_pmil.gp.lbfgs import MakeOptimizer, check_optimizer
 from torch_pmil.model.own_dynamics import check_own_model
 from torch_pmil.tasks.task import Task
@@ -25,11 +23,7 @@ def with_own(task: T, optimizer: MakeOptimizer | None, policy: MakePolicy | None
         check_optimizer(optimizer)
         parts["optimizer"] = optimizer
     if policy is not None:
-        if isinstance(policy, nn.Module) or not callable(policy):
-            raise TypeError(
-                "policy must make a torch.nn.Module from the numbers of features and actions, as "
-                f"torch.nn.Linear does, got {type(policy).__name__}"
-            )
+        check_maker(policy)
         parts["make_policy"] = policy
     if model is not None:
         check_own_model(model)

@@ -49,6 +49,7 @@ ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 
 DEGREES = ("deg", "degree", "degrees", "°")
 TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
+ESTIMATED = {"initial", "actions", "noise_std", "method"}  # fields for which None says nothing
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
 
@@ -257,7 +258,13 @@ def entries_of(
     angles: Sequence[str],
     settings: dict[str, Any],
 ) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
-    """Names, units and angles of the observation; a MujocoRobot knows them, and its start."""
+    """Names, units and angles of the observation; a MujocoRobot knows them, and its start.
+
+    Settings that are None, and that are estimated if left out, are left out.
+    """
+    for name in ESTIMATED & settings.keys():
+        if settings[name] is None:
+            del settings[name]
     if not isinstance(env, MujocoRobot):
         return state, units, angles
     settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))

@@ -55,7 +55,8 @@ class Problem:
     box: StateBox | None = None
 
     def __post_init__(self) -> None:
-        check_positive("tolerance", self.tolerance, zero=True)
+        tolerance = check_positive("tolerance", self.tolerance, zero=True)
+        object.__setattr__(self, "tolerance", tolerance)
         for name in ("env", "measured"):
             env = getattr(self, name)
             if not isinstance(env, EnvBase) and not (name == "measured" and env is None):

@@ -9,6 +9,7 @@ import torch
 
 from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
+from torch_pmil.demonstrations.errors import TIME_STEP
 
 SAMPLES = {
     "demo_9": [(0.0, 1.0, -1.0), (0.1, 2.0, -2.0)],
@@ -107,7 +108,10 @@ def test_column_that_is_not_asked_for_may_hold_anything(file: Path) -> None:
     [
         ({"keys": ["x", "z"]}, "keys must be some of x, y, got z"),
         ({"names": ["a"]}, "names must be 2 different names, one per column, got ('a',)"),
-        ({"time_step": 0.1}, "time_step must be left out: the file has times of its own, got 0.1"),
+        (
+            {"time_step": 0.1},
+            f"{TIME_STEP} must be left out: the file has times of its own, got 0.1",
+        ),
     ],
 )
 def test_option_that_does_not_fit_is_one_line(

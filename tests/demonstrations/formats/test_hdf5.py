@@ -11,10 +11,11 @@ import torch
 
 from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
+from torch_pmil.demonstrations.errors import TIME_STEP
 
 h5py = pytest.importorskip("h5py", reason="needs h5py: pip install 'torch_pmil[formats]'")
 LENGTHS = (5, 7, 6)
-NO_RATE = "time_step must be given, in s: the file does not say how often it was sampled"
+NO_RATE = f"{TIME_STEP} must be given, in s: the file does not say how often it was sampled"
 
 
 def walk(length: int, width: int, seed: int) -> np.ndarray:
@@ -64,12 +65,21 @@ def test_chosen_observations_of_robomimic_come_in_order_at_its_control_frequency
 
 
 def test_single_entries_are_chosen_by_number_and_time_step_by_hand(robomimic: Path) -> None:
+    with h5py.File(robomimic, "a") as file:
+        del file["data"].attrs["env_args"]
     recordings = load_recordings(
         robomimic, keys=["robot0_eef_pos_2", "robot0_eef_pos_0"], names=["z", "x"], time_step=0.5
     )
     assert np.array_equal(recordings.values[3], walk(7, 3, 3)[:, [2, 0]])
     assert recordings.names == ("z", "x")
     assert recordings.durations[0] == 1.5
+
+
+def test_time_step_must_be_that_of_the_file(robomimic: Path) -> None:
+    assert load_recordings(robomimic, keys=[PLACE], time_step=0.05).times[0][1] == 0.05
+    complaint = refused(load_recordings, robomimic, keys=[PLACE], time_step=0.5)
+    control_freq = "by its control_freq the file has a sample every 0.05 s, got 0.5"
+    assert complaint == f"{robomimic}: {TIME_STEP} must be left out: {control_freq}"
 
 
 def test_keys_of_robomimic_must_be_chosen_among_observed_numbers(robomimic: Path) -> None:

@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.errors import (
     MOST,
+    TIME_STEP,
     DemonstrationError,
     check_count,
     opened_set,
@@ -62,7 +64,8 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
             robomimic file.
 
     Raises:
-        DemonstrationError: the file is malformed or lacks a key, or the time step is unknown.
+        DemonstrationError: the file is malformed or lacks a key, or the time step is unknown or not
+            that of the file.
         ImportError: h5py is missing.
     """
     path = _main_file(path) if path.is_dir() else path
@@ -73,7 +76,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         h5py.File(file) as content,
     ):
         layout, root, labels = _layout(content)
-        step = time_step if time_step is not None else _time_step(root)
+        step = _time_step(root, time_step)
         first = _datasets(_member(root, f"{labels[0]}/{layout.observed}"))
         if not first:
             raise DemonstrationError(
@@ -120,14 +123,22 @@ def _layout(content: Any) -> tuple[_Layout, Any, list[str]]:
     )
 
 
-def _time_step(root: Any) -> float:
-    """Seconds between samples, from the control frequency in a robomimic file."""
+def _time_step(root: Any, given: float | None) -> float:
+    """Seconds between samples, from the control frequency in a robomimic file, or as given."""
     try:
-        return 1 / json.loads(root.attrs["env_args"])["env_kwargs"]["control_freq"]
+        own = 1 / json.loads(root.attrs["env_args"])["env_kwargs"]["control_freq"]
     except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+        if given is not None:
+            return given
         raise DemonstrationError(
-            "time_step must be given, in s: the file does not say how often it was sampled"
+            f"{TIME_STEP} must be given, in s: the file does not say how often it was sampled"
         ) from error
+    if given is not None and not math.isclose(own, given, rel_tol=TIME_STEP_TOLERANCE):
+        raise DemonstrationError(
+            f"{TIME_STEP} must be left out: by its control_freq the file has a sample every "
+            f"{own:g} s, got {given}"
+        )
+    return own
 
 
 def _datasets(observed: Any) -> dict[str, Any]:

@@ -112,8 +112,8 @@ class PhysicalRobotEnv(RobotEnv):
         check_robot(robot)
         check_whole("dim", dim, 1)
         check_whole("most_late", most_late, 1)
-        for name, value in {"control_period": control_period, "tolerance": tolerance}.items():
-            check_positive(name, value)
+        control_period = check_positive("control_period", control_period)
+        tolerance = check_positive("tolerance", tolerance)
         if not callable(operator) or not (holding_action is None or callable(holding_action)):
             raise TypeError(
                 f"operator and holding_action must be functions, got {operator!r} and "

@@ -49,8 +49,7 @@ class VelocityFilter:
     """
 
     def __init__(self, time_constant: float) -> None:
-        check_positive("time_constant", time_constant, zero=True)
-        self.time_constant = time_constant
+        self.time_constant = check_positive("time_constant", time_constant, zero=True)
         self._stamp: float | None = None
         self._q = self._dq = torch.zeros(0, dtype=torch.float64)
 
@@ -86,7 +85,7 @@ class VelocityFilter:
             >>> VelocityFilter(0.0).delay(0.1)
             0.05
         """
-        check_positive("period", period)
+        period = check_positive("period", period)
         theta = self._theta(period)
         return period / 2 * (1 + 3 * theta) / (1 - theta)
 
@@ -97,7 +96,7 @@ class VelocityFilter:
             >>> round(VelocityFilter(0.0).noise_gain(0.1), 3)
             14.142
         """
-        check_positive("period", period)
+        period = check_positive("period", period)
         theta = self._theta(period)
         return math.sqrt(2) / period * ((1 - theta) / (1 + theta)) ** 1.5
 

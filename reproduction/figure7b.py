@@ -33,10 +33,7 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def dmp_run(root: Path, name: str, seed: int, trials: int) -> Run:
-    """A run of the baseline as ``reproduction.baselines.train_dmp`` makes it.
-
-    One that was stopped begins anew.
-    """
+    """A run of the baseline; one that was stopped begins anew."""
     return Run(
         root / name / f"seed_{seed}",
         partial(_learn, seed=seed, trials=trials, feedback_period=PERIODS[name]),

@@ -25,7 +25,7 @@ from torch_pmil.tasks.task import Task
 
 TRIALS, SEED = 2, 3
 DIVIDE = "must divide the control period of 0.1 s"
-COMMAND = "python -m reproduction.baselines.train_dmp seed=3"
+COMMAND = "python scripts/reproduce.py figure7b"
 short_run = partial(run_dmp, short_experiment(), SEED, TRIALS, command=COMMAND)
 
 

@@ -261,7 +261,7 @@ def test_trial_on_samples_alone_begins_anew_without_progress_and_keeps_the_best(
     monkeypatch.setattr(sample_search, "expected_cost", lambda *_: next(left))
     settings, random = SearchSettings(2, 2, 2, sample_steps=3), integrator().actor_network
     search = TrialSearch(settings, lambda: random, generator(), Scripted(*rates))
-    search.load_state_dict({"least": costs[0], "credit": 0})
+    search.load_state_dict({"least": costs[0]})
     result = search.run(loss, INITIAL, None)
     assert (loss.actor_network.weights == kept).all()
     assert result.evaluations == 3 * (len(costs) - 1) and search.result is result
@@ -288,7 +288,7 @@ def test_search_of_a_cost_by_moments_ends_on_samples_where_it_breaks_its_promise
     make, promise = lambda: make_cost(0).actor_network, Scripted(*promised)
     start = Gaussian(Draws(2).normal(2), 1e-3 * torch.eye(2).double())
     search = TrialSearch(SearchSettings(1, 1, 1, sample_steps=0), make, generator(), promise)
-    search.load_state_dict({"least": math.inf, "credit": 0})
+    search.load_state_dict({"least": math.inf})
     search.run(loss, start, None)
     assert bool((loss.actor_network.weights == 1).all()) == kept
     assert promise.left == [promised[-1]]  # samples were searched only where they could help

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from itertools import islice
 
 import pytest
 import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
-from tests.helpers.integrator import SPACE, belief_at_one, integrator_loss, random_policy
+from tests.helpers.integrator import belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.search import success_search, trial_search
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
 from torch_pmil.search.success_search import STEADYINGS, search_for_success, steady_policy
-from torch_pmil.search.target_losses import ExpectedSaturatingCost
 from torch_pmil.search.trial_search import BOLDER, PROGRESS, TrialSearch
 
 HORIZON = 6
@@ -58,7 +55,7 @@ def test_policy_that_copies_the_spread_is_narrow_when_it_is_steadied(
 def test_steadied_policy_succeeds_more_often(loss: TrajectoryKLLoss) -> None:
     result, promise = search_policy(loss, INITIAL, SETTINGS), Promise(0.95, distance, 0.6 * WIDE)
     before = promise.predicted(loss, INITIAL)
-    found = search_for_success(loss, INITIAL, promise, SETTINGS, result, 1000)
+    found = search_for_success(loss, INITIAL, promise, SETTINGS, result)
     after = promise.predicted(loss, INITIAL)
     assert before.least < promise.aim
     assert after.successes > before.successes
@@ -77,24 +74,25 @@ class ScriptedPromise:
         return PredictedSuccess(round(next(self._rates) * SAMPLES))
 
 
-def outcome(loss: float, horizon: int = HORIZON, matched: bool = True) -> SearchResult:
-    """Of a search with 10 evaluations."""
+def outcome(
+    loss: float, horizon: int = HORIZON, matched: bool = True, evaluations: int = 10
+) -> SearchResult:
+    """Of a search with that many evaluations."""
     per_step = torch.full((HORIZON,), loss / HORIZON, dtype=torch.float64)
-    return SearchResult(loss, per_step, horizon, matched, 10, 1, 0.5, "iteration limit")
+    return SearchResult(loss, per_step, horizon, matched, evaluations, 1, 0.5, "iteration limit")
 
 
 @pytest.fixture
-def scripted(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[str]:
-    """Names of the searches that were made; the weights are then their number, and so is the KL."""
-    made: list[str] = []
+def steadied(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[SearchResult]:
+    """The searches that were made; the weights are then their number, and so is the KL."""
+    made: list[SearchResult] = []
 
-    def search(name: str) -> SearchResult:
-        made.append(name)
+    def search(*_: object) -> SearchResult:
+        made.append(outcome(float(len(made) + 1)))
         loss.actor_network.weights.data.fill_(len(made))
-        return outcome(float(len(made)))
+        return made[-1]
 
-    monkeypatch.setattr(success_search, "search_policy", lambda *_: search("random"))
-    monkeypatch.setattr(success_search, "steady_policy", lambda *_: search("steady"))
+    monkeypatch.setattr(success_search, "steady_policy", search)
     loss.actor_network.weights.data.zero_()
     return made
 
@@ -104,53 +102,27 @@ def kept_by(loss: TrajectoryKLLoss) -> int:
     return int(loss.actor_network.weights[0, 0].item())
 
 
-def go_on(
-    loss: TrajectoryKLLoss, restarts: int, *rates: float, credit: int = 1000
-) -> tuple[int, SearchResult]:
-    """Number of the search whose policy was kept, and the outcome."""
-    policies = (random_policy(Draws(seed)) for seed in range(restarts))
-    promise = ScriptedPromise(*rates)
-    found = search_for_success(loss, INITIAL, promise, SETTINGS, outcome(0.0), credit, policies)
-    return kept_by(loss), found
-
-
-SUCCESSES = {  # restarts, rates, the searches made, and the number of the one kept
-    "enough": (2, [1.0], [], 0),
-    "steadied": (2, [0.5, 0.95], ["steady"], 1),
-    "steadied again": (2, [0.5, 0.6, 0.6, 0.95], ["steady"] * 3, 3),
-    "often enough": (0, [0.5] + [0.6] * STEADYINGS, ["steady"] * STEADYINGS, 1),
-    "no restart": (0, [0.5, 0.6, 0.4], ["steady"] * 2, 1),
-    "better restart": (1, [0.5, 0.4, 0.3, 0.7, 0.6], ["steady", "random", "steady", "steady"], 3),
-    "at once": (2, [0.5, 0.4, 1.0], ["steady", "random"], 2),
-    "hopeless": (1, [0.0, 0.001, 0.0, 0.95], ["steady", "random", "steady"], 3),
-    "worse": (1, [0.5, 0.4, 0.2, 0.1], ["steady", "random", "steady"], 0),
+SUCCESSES = {  # evaluations before, rates, the number of searches made, and of the one kept
+    "enough": (1000, [1.0], 0, 0),
+    "steadied": (1000, [0.5, 0.95], 1, 1),
+    "again": (1000, [0.5, 0.6, 0.6, 0.95], 3, 3),
+    "often enough": (1000, [0.5] + [0.6] * STEADYINGS, STEADYINGS, 1),
+    "worse": (1000, [0.5, 0.6, 0.4], 2, 1),
+    "hopeless": (1000, [0.0, 0.001], 1, 0),
+    "as many evaluations as before": (15, [0.5, 0.6, 0.7], 2, 2),
 }
 
 
 @pytest.mark.parametrize("case", SUCCESSES)
-def test_searches_follow_until_the_aim_is_reached_and_the_best_policy_is_kept(
-    loss: TrajectoryKLLoss, scripted: list[str], case: str
+def test_policy_is_steadied_until_the_aim_is_reached_and_the_best_is_kept(
+    loss: TrajectoryKLLoss, steadied: list[SearchResult], case: str
 ) -> None:
-    restarts, rates, made, kept = SUCCESSES[case]
-    number, found = go_on(loss, restarts, *rates)
-    assert (scripted, number, found.loss) == (made, kept, float(kept))
-    assert found.evaluations == 10 * (1 + len(made))
-
-
-def test_no_search_begins_once_the_evaluations_are_used_up(
-    loss: TrajectoryKLLoss, scripted: list[str]
-) -> None:
-    number, found = go_on(loss, 2, 0.5, 0.6, 0.7, 0.8, credit=15)
-    assert (scripted, number, found.evaluations) == (["steady"] * 2, 2, 30)
-
-
-def test_cost_without_demonstrations_is_not_steadied(
-    scripted: list[str], loss: TrajectoryKLLoss
-) -> None:
-    network = copy.deepcopy(loss.actor_network)
-    cost = ExpectedSaturatingCost(network, loss.dynamics, SPACE, torch.zeros(1), 0.5, HORIZON)
-    go_on(cost, 1, 0.1, 0.2)
-    assert scripted == ["random"]
+    before, rates, made, kept = SUCCESSES[case]
+    found = search_for_success(
+        loss, INITIAL, ScriptedPromise(*rates), SETTINGS, outcome(0.0, evaluations=before)
+    )
+    assert (len(steadied), kept_by(loss), found.loss) == (made, kept, float(kept))
+    assert found.evaluations == before + 10 * made
 
 
 # the order of the searches
@@ -255,21 +227,13 @@ def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
     assert scripted.optimizers == [OPTIMIZER] * len(results)
 
 
-def test_searches_for_success_take_as_many_evaluations_as_the_others_of_the_run(
-    monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss
+@pytest.mark.parametrize("complete", [True, False])
+def test_success_is_searched_once_the_whole_horizon_is_matched(
+    monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss, complete: bool
 ) -> None:
-    """And are from random policies only after a rollout that succeeded."""
-    scripted = Searches(monkeypatch, loss, [(1.0, HORIZON, True)] * 4)
-    given: list[tuple[int, int]] = []
-
-    def counted(*arguments: object) -> SearchResult:
-        result, credit, policies = arguments[4:7]
-        given.append((credit, len(list(islice(policies, 3)))))
-        return result.with_work_of(outcome(1.0)) if len(given) == 2 else result
-
-    monkeypatch.setattr(trial_search, "search_for_success", counted)
+    scripted = Searches(monkeypatch, loss, [(1.0, HORIZON if complete else 2, complete)] * 3)
+    found = outcome(2.0)
+    monkeypatch.setattr(trial_search, "search_for_success", lambda *_: found)
     scripted.search.promise = ScriptedPromise()
-    for succeeded in (None, False, True, True):
-        monkeypatch.setattr(scripted.search, "_least", 100.0)
-        scripted.trial(succeeded)
-    assert given == [(10, 0), (20, 0), (20, 3), (30, 3)]  # the second search took 10
+    scripted.trial(None)
+    assert (scripted.search.result is found) == complete

@@ -42,7 +42,8 @@ class AdaptedEnv(RobotEnv):
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
     float64, and with ``from_pixels`` also ``"pixels"``. Actions are the environment's own, clipped
     to its range. Reward and ``"done"`` of the environment are ignored: an imitation runs for all
-    its steps and learns from failures too. An environment that resets itself cannot be used.
+    its steps, unless ``guard`` ends it where the environment has terminated. An environment that
+    resets itself cannot be used.
 
     Each ``reset`` seeds the environment from this class's own generator, which is in
     ``state_dict``. A checkpoint therefore resumes bit for bit at the start of an episode, if the
@@ -133,7 +134,7 @@ class AdaptedEnv(RobotEnv):
                 f"all robots must be reset together, got a mask with {int(mask.sum())} of "
                 f"{mask.numel()}"
             )
-        self.cut_short = ""
+        self.cut_short, self.terminated = "", False
         self.base_env.set_seed(draw_seed(self._generator))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
@@ -148,6 +149,7 @@ class AdaptedEnv(RobotEnv):
         action = action.clamp(self._low, self._high)
         dtype = self.base_env.full_action_spec[self._action].dtype
         self._last = step_mdp(self.base_env.step(self._last.set(self._action, action.to(dtype))))
+        self.terminated = bool(self._last["terminated"].any())
         return self._without_reward(self._measure())
 
     def _measure(self) -> TensorDictBase:

@@ -26,6 +26,7 @@ class RobotEnv(EnvBase):
 
     An episode ends only by ``guard``. It is called with the states (*batch, D) after each step, and
     returns why the motion must end, or "". ``cut_short`` holds that reason until the next reset.
+    ``terminated`` says whether the environment behind the robot reported its end in the last step.
     ``physical`` is True for a real robot, which makes no unnecessary motion. A single robot with
     ``turns`` starts that many times, one after the other, and these rollouts make one batch.
 
@@ -39,7 +40,7 @@ class RobotEnv(EnvBase):
         ValueError: the seed is not a whole number from 0 on, or the period is not positive.
     """
 
-    physical = False
+    physical = terminated = False
     turns: int | None = None
 
     def __init__(

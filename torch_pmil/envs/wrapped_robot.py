@@ -47,6 +47,11 @@ class WrappedRobotEnv(RobotEnv):
         return self.robot.action_units
 
     @property
+    def terminated(self) -> bool:  # type: ignore[override]
+        """That of the robot."""
+        return self.robot.terminated
+
+    @property
     def torque_limits(self) -> Tensor | None:
         """Limits of the robot."""
         return self.robot.torque_limits

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.policy_search import (
-    Report,
-    SearchResult,
-    SearchRuns,
-    SearchSettings,
-    search_policy,
-)
+from torch_pmil.search.policy_search import Report, SearchResult, SearchRuns, SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
-from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 STEADYINGS = 8  # of one policy, while it gets no worse
 HOPELESS = 0.01  # predicted success rate of a policy that steadying does not save
@@ -41,29 +32,25 @@ class _Found:
 
 
 def search_for_success(
-    loss: TrajectoryLoss,
+    loss: TrajectoryKLLoss,
     initial: Gaussian,
     promise: Promise,
     settings: SearchSettings,
     result: SearchResult,
-    evaluations: int,
-    policies: Iterable[AnyPolicy] = (),
     report: Report = lambda stage, loss: None,
     optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> SearchResult:
     """Search on until :attr:`PredictedSuccess.least` of the policy reaches :attr:`Promise.aim`.
 
-    The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
-    it gets no worse and is not hopeless. Then others are searched from random policies, and
-    steadied too. The policy with the highest predicted rate is kept; among equals, the one with the
-    least loss.
+    The policy is steadied (:func:`steady_policy`) again and again, while it gets no worse and is
+    not hopeless, and until this took as many evaluations as the search before. The policy with the
+    highest predicted rate is kept; among equals, the one with the least loss.
 
     Args:
-        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
+        loss, initial, settings, report, optimizer: as for
+            :func:`~torch_pmil.search.policy_search.search_policy`.
         promise: what the policy must keep.
         result: outcome of the search that found the policy, which matches the whole horizon.
-        evaluations: of the loss, after which no other search begins.
-        policies: random policies of the same shape; no more are taken than are needed.
 
     Returns:
         The outcome of the search whose policy was kept, with the work of all searches.
@@ -77,27 +64,11 @@ def search_for_success(
         found.append(_Found(result, predicted, copy.deepcopy(network.state_dict())))
         return predicted.least < promise.aim
 
-    def affordable() -> bool:
-        return sum(each.result.evaluations for each in found[1:]) < evaluations
-
-    def steady() -> bool:
-        """Steady the last policy; return whether a better one is still needed."""
-        if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
-            return True
-        for _ in range(STEADYINGS):
-            if not affordable():
-                break
-            if not judge(steady_policy(loss, initial, settings, report, optimizer)):
-                return False
-            if found[-1].predicted.rate < max(found[-2].predicted.rate, HOPELESS):
-                break
-        return True
-
-    needed, others = judge(result) and steady(), iter(policies)
-    while needed and affordable() and (policy := next(others, None)) is not None:
-        network.load_state_dict(policy.state_dict())
-        again = search_policy(loss, initial, settings, report, True, optimizer)
-        needed = judge(again) and steady()
+    needed, worse, spent = judge(result), False, 0
+    while needed and not worse and len(found) <= STEADYINGS and spent < result.evaluations:
+        steadied = steady_policy(loss, initial, settings, report, optimizer)
+        needed, spent = judge(steadied), spent + steadied.evaluations
+        worse = found[-1].predicted.rate < max(found[-2].predicted.rate, HOPELESS)
     best = max(found, key=lambda each: each.merit)
     network.load_state_dict(best.parameters)
     kept = best.result
@@ -120,7 +91,7 @@ def steady_policy(
     The policy of least KL to the demonstrations varies as much as they do, and fails as often as
     they would. This search of ``settings.final_iterations`` narrows the prediction towards what is
     most likely under the demonstrations. The ``loss`` of its outcome is the KL all the same.
-    Arguments and errors are those of :func:`search_policy`.
+    Arguments and errors are those of :func:`~torch_pmil.search.policy_search.search_policy`.
     """
     runs, horizon = SearchRuns(loss, initial, settings, report, optimizer), loss.horizon
     runs.run("cross-entropy", loss.cross_entropy_per_step, horizon, settings.final_iterations)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import copy
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import count
 from typing import Any
 
 import torch
@@ -18,6 +17,7 @@ from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.expected_cost import ExpectedCost
+from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import (
     Report,
     SearchResult,
@@ -54,9 +54,7 @@ class TrialSearch:
     the whole horizon is not enough: it may be that of a poor optimum.
 
     A policy that matches the whole horizon, but is predicted to fail from too many starts, is
-    searched on (:func:`search_for_success`), from random policies only after a rollout that
-    succeeded: before, the failures may be what the model does not know yet. In a whole run these
-    searches take as many evaluations as the others, at most.
+    searched on (:func:`search_for_success`).
 
     With ``settings.sample_steps`` none of this is needed. The whole horizon is first searched on
     samples (:func:`search_on_samples`): from the last policy, or from a random one while that is
@@ -92,7 +90,7 @@ class TrialSearch:
     ) -> None:
         self.settings, self.make_policy, self.generator = settings, make_policy, generator
         self.promise, self.report, self.optimizer = promise, report, optimizer
-        self._least, self._credit = math.inf, 0
+        self._least = math.inf
 
     def run(self, loss: TrajectoryLoss, initial: Gaussian, succeeded: bool | None) -> SearchResult:
         """Search the policy of one trial, as :func:`search_policy`.
@@ -126,18 +124,13 @@ class TrialSearch:
             if not self._enough(succeeded):
                 self._keep_better(loss, self.make_policy(), partial(search, random=True))
         self._least = min(self._least, self.result.loss)
-        self._credit += self.result.evaluations
         if self.promise is None or not self.result.complete:
             return self.result
         if isinstance(loss, ExpectedCost):
             return self._ended_on_samples(loss, initial)
-        known, credit = (loss, initial, self.promise, settings, self.result), self._credit
-        others: Iterator[AnyPolicy] = iter(())
-        if succeeded:
-            others = (self.make_policy() for _ in count())
-        before = self.result.evaluations
-        self.result = search_for_success(*known, credit, others, report, optimizer)
-        self._credit -= self.result.evaluations - before
+        if isinstance(loss, TrajectoryKLLoss):
+            known = loss, initial, self.promise, settings, self.result
+            self.result = search_for_success(*known, report, optimizer)
         return self.result
 
     def begin_anew(self) -> None:
@@ -237,8 +230,8 @@ class TrialSearch:
 
     def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""
-        return {"least": self._least, "credit": self._credit}
+        return {"least": self._least}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state that :meth:`state_dict` returned."""
-        self._least, self._credit = state_dict["least"], state_dict["credit"]
+        self._least = state_dict["least"]

@@ -14,6 +14,7 @@ from torch_pmil.envs.rollouts import as_executed, rollout_of, states_of
 from torch_pmil.model.held_out import held_out_loss
 from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
 from torch_pmil.seeds import Stream, generator_of
+from torch_pmil.tasks.falls import far_off
 from torch_pmil.tasks.resampled import resampled
 from torch_pmil.tasks.sampling import Sampling
 from torch_pmil.tasks.task import Task
@@ -29,9 +30,9 @@ ALIKE, SMALL = 1.25, 0.125
 # and the shortest step gives the next models the most data
 GOOD = 1.5
 MOST = 100  # transitions that are evidence of the past
-# a state is far if it is outside the demonstrated range by more than that range; a motion ran away
-# if more than this share of it is far. The robot then moves again, by this share of the actions
-FAR, NEARLY_ALL, GENTLER = 1.0, 0.75, 0.5
+# a motion ran away if more than this share of it is far from what was demonstrated. The robot then
+# moves again, by this share of the actions
+NEARLY_ALL, GENTLER = 0.75, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +92,8 @@ def ran_away(task: Task, motion: FirstMotion) -> bool:
     """Whether nearly all of a motion is far from what was demonstrated, as where a pole fell."""
     if task.demonstrations is None:
         return False
-    shown = task.demonstrations.positions.flatten(0, 1)
-    low, high, seen = shown.amin(0), shown.amax(0), task.space.observe(motion.states)
-    beyond = torch.maximum(low - seen, seen - high) / (high - low + task.noise_std)
-    return (beyond.amax(-1) > FAR).double().mean().item() > NEARLY_ALL
+    seen, shown = task.space.observe(motion.states), task.demonstrations.positions
+    return far_off(seen, shown, task.noise_std).double().mean().item() > NEARLY_ALL
 
 
 @dataclass(frozen=True)

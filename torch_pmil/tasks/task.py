@@ -34,6 +34,7 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.settings import Settings, setting
+from torch_pmil.tasks.falls import FallGuard
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.new_policy import name_of, new_policy
 from torch_pmil.tasks.outcome import Outcome
@@ -244,8 +245,12 @@ class Task(Settings):
         measured = None
         if self.evaluated:
             measured = self.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)
+        env = self.robot(seed)
+        if self.demonstrations is not None:
+            shown = self.demonstrations.positions
+            env.guard = FallGuard(env, self.space, shown, self.noise_std)
         return Problem(
-            env=self.robot(seed),
+            env=env,
             loss=self.make_loss(policy, self.make_dynamics()),
             initial=self.initial,
             error=self.error,

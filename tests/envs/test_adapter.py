@@ -157,6 +157,11 @@ REAL = "must be a vector of real numbers, got"
 UNSUITABLE = [
     (Wheel, {"action": "action"}, "must have action under 'action', got motor"),
     (
+        Wheel,
+        {"observation": "x"},
+        "must have observation under 'x', got seen; .*FlattenObservation",
+    ),
+    (
         partial(Wheel, PICTURES),
         {},
         rf"'seen' {REAL} Bounded\w* of torch.uint8 with shape \(8, 8, 3\)",
@@ -164,7 +169,7 @@ UNSUITABLE = [
     (
         partial(Wheel, Unbounded((2, 3))),
         {},
-        rf"{REAL} Unbounded\w* of torch.float32 with shape \(2, 3\)",
+        rf"{REAL} Unbounded\w* of torch.float32 with shape \(2, 3\); .*FlattenObservation",
     ),
     (
         partial(Wheel, action=OneHot(4)),

@@ -18,6 +18,7 @@ from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Continued, within_half_a_turn
 from torch_pmil.seeds import draw_seed
 
+MEND = {"observation": "; gymnasium.wrappers.FlattenObservation makes one vector"}
 CIRCLE = 2.0  # radius, or its inverse, beyond which noise explains no cosine and sine
 
 
@@ -186,6 +187,7 @@ def _entry(specs: Composite, key: NestedKey, role: str) -> TensorSpec:
     if str(key) not in names:
         raise ValueError(
             f"the environment must have {role} under {key!r}, got {', '.join(names) or 'nothing'}"
+            f"{MEND.get(role, '')}"
         )
     return specs[key]
 
@@ -196,6 +198,7 @@ def _vector(specs: Composite, key: NestedKey, role: str, batch_dims: int) -> Ten
         kind = f"{type(spec).__name__} of {spec.dtype} with shape {tuple(spec.shape[batch_dims:])}"
         raise ValueError(
             f"the environment's {role} {key!r} must be a vector of real numbers, got {kind}"
+            f"{MEND.get(role, '')}"
         )
     return spec
 

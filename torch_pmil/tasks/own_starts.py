@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -66,19 +65,19 @@ def start_around(mean: Tensor, std: Tensor) -> Gaussian:
 def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gaussian:
     """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 
-    No robot starts twice in the same state: each deviation is at least a share of the largest
-    demonstrated value.
+    No robot starts twice in the same state: each deviation is at least a share of the demonstrated
+    range.
     """
     share = LEAST_START
     if starts is None:
         starts, share = states[:, 0], LEAST_START_BY_HAND
-    least = share * states.flatten(0, -2).abs().amax(0)
-    std = starts.std(0).maximum(least)
-    for name in itertools.compress(names, std == 0):
+    shown = states.flatten(0, -2)
+    std = starts.std(0).maximum(share * (shown.amax(0) - shown.amin(0)))
+    for number in (std == 0).nonzero()[:, 0].tolist():
         warnings.warn(
-            f"{name} starts at 0 each time and is not demonstrated, so its size is unknown: give "
-            "initial, with a standard deviation as large as it becomes, or policy and model may "
-            "not see it",
+            f"{names[number]} starts at {starts[0, number]:g} each time and is not demonstrated, so "
+            "its size is unknown: give initial, with a standard deviation as large as it becomes, "
+            "or policy and model may not see it",
             UserWarning,
             stacklevel=5,
         )

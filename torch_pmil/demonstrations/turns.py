@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -57,15 +57,35 @@ def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, 
 
     The entry must be smooth without the jumps and not smooth with them: a fast motion is no jump.
     """
-    found: dict[str, tuple[float, int, int]] = {}
+    found = {}
     for column, name in enumerate(shown.names):
-        columns = [one[:, column].double().numpy() for one in values_of(shown)]
-        for turn in TURNS:
-            for number, one in enumerate(columns):
-                if (sample := _jump(one, turn)) and not _rough(one, turn):
-                    found[name] = turn, number, sample
-                    break
+        if jump := first_jump(one[:, column] for one in values_of(shown)):
+            found[name] = jump
     return found
+
+
+def first_jump(motions: Iterable[Tensor]) -> tuple[float, int, int] | None:
+    """Turn by which motions (T_n,) of one entry jump, the first that does, and its sample."""
+    columns, found = [one.double().numpy() for one in motions], None
+    for turn in TURNS:
+        for number, one in enumerate(columns):
+            if (sample := _jump(one, turn)) and not _rough(one, turn):
+                found = turn, number, sample
+                break
+    return found
+
+
+def wrapped_within(motions: Sequence[Tensor]) -> tuple[float, int, int] | None:
+    """As :func:`first_jump`, of a sensor that never leaves the turn by which it jumps.
+
+    Most motions that jump must be smooth without: one in many of a fast entry is so by chance.
+    """
+    jump, values = first_jump(motions), torch.cat(list(motions))
+    if jump is None or values.amax() - values.amin() > MORE * jump[0]:
+        return None
+    columns, turn = [one.double().numpy() for one in motions], jump[0]
+    rough = [_rough(one, turn) for one in columns if _jump(one, turn)]
+    return None if 2 * sum(rough) > len(rough) else jump
 
 
 def turns_of(shown: Recordings | Demonstrations, names: Sequence[str]) -> dict[str, float]:

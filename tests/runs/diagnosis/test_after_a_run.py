@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv
-from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.rollouts import rollout_of, states_of
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.diagnosis.after_a_run import evidence_in, likely_reasons
 from torch_pmil.runs.diagnosis.before_a_run import needed_torques
@@ -213,6 +214,28 @@ def test_wrong_demonstrations_come_first_and_few_last() -> None:
     assert next(iter(diagnose(shown(both), *learned()))) == "contradictory demonstrations"
     found = list(diagnose(shown(positions[:2]), *learned()))
     assert (found[0], found[-1]) == ("search stuck", "too few demonstrations")
+
+
+def wrapping_first_entry(rollout: TensorDictBase) -> TensorDictBase:
+    """The rollouts as a sensor shows them that wraps the first entry, which turns through pi."""
+    states = states_of(rollout)
+    turned = torch.linspace(3.0, 4.0, states.shape[-2], dtype=states.dtype)
+    states[..., 0] = torch.where(turned < math.pi, turned, turned - 2 * math.pi)
+    return rollout.copy().update(rollout_of(states))
+
+
+def test_sensor_that_wraps_comes_first_unless_its_entry_is_a_declared_angle() -> None:
+    """The recordings go on."""
+    task = load_experiment("biorob")
+    still = new_policy(task)
+    moved = wrapping_first_entry(rollouts(task, still, 2, 3))
+    found = diagnose(task, still, model_of(task, still, steps=6), starts=3, recorded=[moved])
+    cause, message = next(iter(found.items()))
+    assert cause == "angles that wrap"
+    assert message.startswith("q_yaw of the robot jumps by a turn (6.283) at ")
+    assert message.endswith("angles=('q_yaw',)")
+    declared = wrapping_first_entry(rollouts(swing_up(), learned()[0], 2, 3))
+    assert "angles that wrap" not in diagnose(swing_up(), *learned(), recorded=[declared])
 
 
 def test_biorob_with_static_friction_that_its_torques_only_hold_did_not_move() -> None:

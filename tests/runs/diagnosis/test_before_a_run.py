@@ -25,6 +25,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_jumps,
     check_length,
     check_modes,
+    check_rest,
     check_spread,
     check_start,
 )
@@ -241,6 +242,28 @@ def test_starts_that_vary_more_than_shown_are_named(wide: float, found: int) -> 
     assert len(findings) == found
     if found:
         assert findings[0].message.startswith("the robot's starts vary by 0.155 in q, and those")
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("name", ["double_pendulum", "cart_pole", "pendubot"])
+def test_rest_before_the_motion_is_named(name: str, seconds: float) -> None:
+    shown = shipped_demonstrations(name)
+    held = shown.positions[:, :1].expand(-1, round(seconds / shown.time_step), -1)
+    found = findings(torch.cat([held, shown.positions], 1), name)
+    (message,) = (each.message for each in found if each.cause == "rest before the motion")
+    rest = float(message.split(" rest for ")[1].split(" s ")[0])
+    assert abs(rest - seconds) < 0.2 and "not the time: cut the rest off" in message
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.01])
+def test_rest_is_told_from_noise_and_from_a_smooth_start(noise: float, draws: Draws) -> None:
+    """Five reaches of 2 s, which rest for another 0.5 s at the end, and 1 s or not at the start."""
+    for rest in (0.0, 1.0):
+        share = ((torch.arange(0, rest + 2.5, 0.05).double() - rest) / 2).clamp(0, 1)
+        reach = share**3 * (10 - 15 * share + 6 * share**2)
+        shown = reach[None, :, None] + noise * draws.normal(5, len(reach), 1)
+        found = check_rest(Demonstrations(shown, 0.05, ("q",)), torch.tensor(0.05).double())
+        assert len(found) == (rest > 0)
 
 
 @pytest.mark.parametrize(("step", "stays"), [(12, False), (12, True), (3, False)])

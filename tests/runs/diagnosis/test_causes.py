@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 
@@ -16,6 +17,7 @@ from torch_pmil.runs.diagnosis.causes import (
     check_experience,
     check_model,
     check_motion,
+    check_readings,
     check_saturation,
     check_search,
     group,
@@ -50,6 +52,52 @@ def of_model(errors: torch.Tensor, executed: torch.Tensor) -> str:
     """What is wrong with a model that predicts standing still, "" if nothing is."""
     reason = check_model(errors, standing(10), executed, NAMES, 0.1, SETTINGS)
     return reason.message if reason else ""
+
+
+def readings(values: torch.Tensor) -> list[torch.Tensor]:
+    """Three rollouts of a joint and its velocity, at values (T + 1,) and a little beside."""
+    columns = [values + beside for beside in (0.0, 0.01, 0.02)]
+    return [torch.stack([each, torch.zeros_like(each)], -1) for each in columns]
+
+
+TIMES = torch.arange(26).double() / 10
+SWITCHED = torch.tensor([1.0, 1, -1, 1, -1, -1, 1, 1, -1, 1, -1, 1, 1]).double().repeat(2)
+OTHERS = {
+    "slow": 3 * TIMES.sin(),
+    "goes on": 2.5 + 3 * TIMES,
+    "steps of 6": 6 * torch.arange(26).sub(9).clamp(0).double(),
+    "there and back by 5": 2.5 * SWITCHED,
+    "there and back by half a turn more": 0.4 * TIMES + 4.5 * (TIMES > 1),
+}
+
+
+@pytest.mark.parametrize("turn", [2 * math.pi, 360.0])
+@pytest.mark.parametrize("low", [-0.5, 0.0])
+def test_sensor_that_wraps_is_named_unless_its_entry_is_an_angle(turn: float, low: float) -> None:
+    angles = turn * (low + 0.9 + 0.1 * TIMES)
+    moved = readings((angles / turn - low) % 1 * turn + low * turn)
+    (finding,) = check_readings(moved, NAMES, (), 0.1)
+    assert finding.cause == "angles that wrap"
+    assert re.match(rf"q of the robot jumps by a turn \({turn:.4g}\) at 1.\d0 s", finding.message)
+    assert finding.message.endswith("declare it, by angles=('q',)")
+    assert check_readings(moved, NAMES, (0,), 0.1) == []
+
+
+def test_velocities_are_no_angles() -> None:
+    moved = [motion.flip(-1) for motion in readings(3.1 - 6.2 * (TIMES > 1))]
+    assert check_readings(moved, ("v", "w"), (), 0.1)
+    assert check_readings(moved, NAMES, (), 0.1) == []
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_fast_joint_is_no_sensor_that_wraps(other: str) -> None:
+    assert check_readings(readings(OTHERS[other]), NAMES, (), 0.1) == []
+
+
+def test_one_rollout_of_a_fast_joint_that_jumps_by_a_turn_is_chance() -> None:
+    turned, fast = readings(3.1 - 6.2 * (TIMES > 1)), readings(OTHERS["there and back by 5"])
+    assert check_readings(turned, NAMES, (), 0.1)
+    assert check_readings([turned[0], *fast], NAMES, (), 0.1) == []
 
 
 def test_errors_are_named_with_their_entry_unless_they_are_standard_normal(draws: Draws) -> None:

@@ -22,12 +22,13 @@ from torch_pmil.runs.diagnosis.causes import (
     check_model,
     check_motion,
     check_past,
+    check_readings,
     check_saturation,
     check_search,
     group,
     unexplained,
 )
-from torch_pmil.runs.diagnosis.demonstration_checks import FEW
+from torch_pmil.runs.diagnosis.demonstration_checks import FEW, Finding
 from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, MATCHED, first_mismatch
 from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
@@ -50,12 +51,13 @@ def likely_reasons(
 ) -> list[Reason]:
     """Likely reasons why a run did not learn, the most likely first: causes before consequences.
 
-    Wrong demonstrations mislead everything that follows. A robot that is too weak or does not move
-    gives the model nothing to learn. If the past explains the motion better than the present, no
-    model of the present is right. A model that is wrong up to the step at which the search is stuck
-    misleads the search. If it is wrong only beyond that step, that is because the policy goes where
-    nothing leads it. Few demonstrations alone seldom keep a robot from learning. Of several
-    targets, the worst one is examined.
+    A sensor that wraps an angle makes model and match wrong from there on. Wrong demonstrations
+    mislead everything that follows. A robot that is too weak or does not move gives the model
+    nothing to learn. If the past explains the motion better than the present, no model of the
+    present is right. A model that is wrong up to the step at which the search is stuck misleads the
+    search. If it is wrong only beyond that step, that is because the policy goes where nothing
+    leads it. Few demonstrations alone seldom keep a robot from learning. Of several targets, the
+    worst one is examined.
 
     Args:
         task: what was to be learned.
@@ -72,7 +74,7 @@ def likely_reasons(
     if (~failed).double().mean() >= LEARNED:
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
-    found = group(check(task))
+    found = group([*_of_the_sensors(task, outcomes, recorded), *check(task)])
     evidence = evidence_in(task, loss.dynamics.targets, recorded)
     past = check_past(evidence) if evidence else None
     search = _Search(task, loss, outcomes)
@@ -132,6 +134,16 @@ def known_steps(task: Task, dynamics: ForwardModel, outcome: Outcome) -> Tensor:
     plain = list(task.space.plain)  # the first features
     reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
     return sure & (before[..., plain].abs() <= reached).all(-1)
+
+
+def _of_the_sensors(
+    task: Task, outcomes: Sequence[Outcome], recorded: Sequence[TensorDictBase]
+) -> list[Finding]:
+    """Findings on angles that the robot's sensors wrap, in all that it did."""
+    rollouts = [*recorded, *(outcome.rollouts for outcome in outcomes)]
+    motions = [motion for each in rollouts for motion in states_of(each)]
+    names = task.space.names if task.history is None else task.history.names
+    return check_readings(motions, names, task.space.angles, task.time_step)
 
 
 def _of_the_robot(task: Task, outcome: Outcome) -> list[Reason]:

@@ -7,7 +7,7 @@ and ``predicted`` their marginals at t = 1..T, mean (T, D); ``step_loss`` is tha
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +15,12 @@ import scipy
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.recovered_states import rates_of
+from torch_pmil.demonstrations.turns import wrapped_within
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.model.past_evidence import PastEvidence
-from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.demonstration_checks import WRAPS, Finding
 from torch_pmil.runs.diagnosis.measures import (
     COVERED,
     EVIDENCE,
@@ -103,6 +105,39 @@ def unpredictable(error: str) -> Reason:
         "with the rollouts; give it more data: more trials, or a larger first motion "
         "(random_action or exploration.reach)",
     )
+
+
+def check_readings(
+    motions: Sequence[Tensor], names: Sequence[str], declared: Collection[int], time_step: float
+) -> list[Finding]:
+    """Find entries of executed rollouts, (T_n + 1, D) each, that jump by a turn.
+
+    Args:
+        motions: what the robot's sensors read.
+        names: of the first entries; those after them, and velocities dNAME, are left out.
+        declared: indices of the entries that are angles already.
+        time_step: between two readings.
+
+    Example:
+        >>> import torch
+        >>> q = torch.tensor([2.7, 2.9, 3.1, -2.98, -2.78])[:, None]
+        >>> check_readings([q], ("q",), (), 0.1)[0].message.partition(":")[0]
+        'q of the robot jumps by a turn (6.283) at 0.30 s, from 3.10 to -2.98'
+    """
+    known, found = {*declared, *rates_of(tuple(names))}, []
+    for entry, name in enumerate(names):
+        columns = [motion[:, entry] for motion in motions]
+        if entry in known or (jump := wrapped_within(columns)) is None:
+            continue
+        turn, number, sample = jump
+        before, after = columns[number][sample - 1 : sample + 1].tolist()
+        message = (
+            f"{name} of the robot jumps by a turn ({turn:.4g}) at {sample * time_step:.2f} s, from "
+            f"{before:.2f} to {after:.2f}: if it is an angle, declare it, by "
+            f"angles=({name!r},)"
+        )
+        found.append(Finding(WRAPS, message))
+    return found
 
 
 def check_cut_short(ends: Sequence[str]) -> Reason | None:

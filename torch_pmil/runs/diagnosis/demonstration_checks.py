@@ -29,6 +29,10 @@ WIDER = 3.0  # standard deviation of a start over that of what is shown there
 LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
 LONE_JUMP = 3.0  # second difference of a jump, over the largest one of other demonstrations
 NEARBY = 2  # samples before and after, in which the others are compared
+WINDOW = 0.1  # of the duration, in which a change is motion
+MOVES = 0.05  # such a change, over the largest one
+SHORT_REST = 3  # steps: a rest up to this is not named
+SHORT_SHARE = 0.1  # of the duration, likewise
 OUT_OF_REACH = 2.0  # standard deviations of the observation noise
 STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
@@ -36,6 +40,7 @@ LONG = 500  # steps, whose trials may take an hour: the work grows with the cube
 ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
 UNREACHABLE = "demonstrations out of reach"  # a cause that several checks find
 FEW = "too few demonstrations"  # another one
+WRAPS = "angles that wrap"  # of recordings, or of the robot
 
 
 @dataclass(frozen=True)
@@ -180,6 +185,30 @@ def check_spread(
     return [Finding("starts vary more than demonstrations", message)]
 
 
+def check_rest(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
+    """Find a rest before the motion, in the median of demonstrations.
+
+    It ends with the first window over which the means of half windows change noticeably. So neither
+    noise nor the slow start of a smooth motion matters much.
+    """
+    steps = demonstrations.positions.shape[1] - 1
+    window = max(1, int(WINDOW * steps))
+    half = max(1, window // 2)
+    scaled = (demonstrations.positions / noise_std).mT
+    smooth = torch.nn.functional.avg_pool1d(scaled, half, 1)  # (N, M, ·)
+    change = (smooth[..., window:] - smooth[..., :-window]).norm(dim=1)
+    moves = change >= MOVES * change.amax(1, keepdim=True)
+    rest = half + int(moves.int().argmax(1).median())
+    if rest <= max(SHORT_REST, SHORT_SHARE * steps):
+        return []
+    message = (
+        f"the demonstrations rest for {rest * demonstrations.time_step:.2g} s before they move, "
+        "and a policy knows the state, not the time: cut the rest off, as pmil align --crop does "
+        "(with --smooth if recordings are noisy)"
+    )
+    return [Finding("rest before the motion", message)]
+
+
 def check_jumps(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
@@ -211,7 +240,7 @@ def check_jumps(
 
 def check_turns(demonstrations: Demonstrations) -> list[Finding]:
     """Find entries that jump by a turn, as angles that are recorded within one turn do."""
-    return [Finding("angles that wrap", message) for message in jumps_by_turns(demonstrations)]
+    return [Finding(WRAPS, message) for message in jumps_by_turns(demonstrations)]
 
 
 def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:

@@ -75,9 +75,9 @@ def start_of(starts: Tensor | None, states: Tensor, names: Sequence[str]) -> Gau
     std = starts.std(0).maximum(share * (shown.amax(0) - shown.amin(0)))
     for number in (std == 0).nonzero()[:, 0].tolist():
         warnings.warn(
-            f"{names[number]} starts at {starts[0, number]:g} each time and is not demonstrated, so "
-            "its size is unknown: give initial, with a standard deviation as large as it becomes, "
-            "or policy and model may not see it",
+            f"{names[number]} starts at {starts[0, number]:g} each time and is not demonstrated, "
+            "so its size is unknown: give initial, with a standard deviation as large as it "
+            "becomes, or policy and model may not see it",
             UserWarning,
             stacklevel=5,
         )

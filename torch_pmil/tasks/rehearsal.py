@@ -246,8 +246,8 @@ def _check_drift(task: Task, robot: object, actions: Tensor) -> None:
         shown = last[:, task.space.names.index(entry)]
         raise ValueError(
             f"env must do the same after each reset by one seed, got {entry} = {shown[0]:.3g}, and "
-            f"{shown[-1]:.3g} after {TRIES} resets: {layer} remembers what was before; do without, or "
-            f"leave {entry} out of the observation"
+            f"{shown[-1]:.3g} after {TRIES} resets: {layer} remembers what was before; do without, "
+            f"or leave {entry} out of the observation"
         )
     warnings.warn(
         f"{layer} draws random numbers that no seed determines: a run cannot be repeated. Draw "

@@ -246,7 +246,7 @@ class Task(Settings):
         if self.evaluated:
             measured = self.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)
         env = self.robot(seed)
-        if self.demonstrations is not None:
+        if env.guard is None and self.demonstrations is not None:
             shown = self.demonstrations.positions
             env.guard = FallGuard(env, self.space, shown, self.noise_std)
         return Problem(

@@ -21,7 +21,13 @@ from torch_pmil.tasks.declared_angles import turning
 from torch_pmil.tasks.error_checks import check_error
 from torch_pmil.tasks.fitting import actions_of
 from torch_pmil.tasks.own_parts import with_own
-from torch_pmil.tasks.own_robot import entries_of, observed_entries, parted, robot_of
+from torch_pmil.tasks.own_robot import (
+    entries_of,
+    observed_entries,
+    parted,
+    robot_of,
+    without_none,
+)
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_starts import start_around, starts_of
 from torch_pmil.tasks.site_match import site_match
@@ -93,6 +99,7 @@ def own_cost(
     check_whole("horizon", horizon, 1)
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_cost, CostTask, **said, **settings)
+    settings = without_none(settings)
     control_period = seconds(control_period)
     state, units, angles = entries_of(env, state, units, angles, settings)
     if not state:

@@ -154,6 +154,7 @@ def own_robot(
     """
     said = {"state": state, "units": units, "angles": angles, "match": match}
     check_said(own_robot, Task, **said, **settings)
+    settings = without_none(settings)
     if cost is None and imitation_weight is not None:
         raise ValueError("imitation_weight must come with a cost, got none")
     control_period = seconds(control_period)
@@ -251,6 +252,17 @@ def _task(
     return task.with_settings(**chosen)
 
 
+def without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings, without those that are None and are estimated if they are left out.
+
+    Example:
+        >>> without_none({"initial": None, "noise_std": 0.1, "units": None})
+        {'noise_std': 0.1, 'units': None}
+    """
+    left_out = {name for name in ESTIMATED & settings.keys() if settings[name] is None}
+    return {name: value for name, value in settings.items() if name not in left_out}
+
+
 def entries_of(
     env: Any,
     state: Sequence[str],
@@ -258,13 +270,7 @@ def entries_of(
     angles: Sequence[str],
     settings: dict[str, Any],
 ) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
-    """Names, units and angles of the observation; a MujocoRobot knows them, and its start.
-
-    Settings that are None, and that are estimated if left out, are left out.
-    """
-    for name in ESTIMATED & settings.keys():
-        if settings[name] is None:
-            del settings[name]
+    """Names, units and angles of the observation; a MujocoRobot knows them, and its start."""
     if not isinstance(env, MujocoRobot):
         return state, units, angles
     settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))

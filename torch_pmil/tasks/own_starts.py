@@ -20,9 +20,9 @@ from torch_pmil.tasks.fitting import independent_start
 from torch_pmil.tasks.task import check_initial
 
 STARTS = 20  # resets by which p(x_0) is estimated
-LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
+LEAST_START = 0.01  # standard deviation of a start, in the demonstrated range of its entry
 LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
-UNMOVED = 1e-6  # standard deviation of the start of an entry that is always 0
+UNMOVED = 1e-6  # standard deviation of the start of an entry that never varies
 
 Robot = OneRobot | MujocoRobot
 

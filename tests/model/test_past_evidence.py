@@ -67,6 +67,18 @@ def test_past_state_is_missed_where_velocities_are(draws: Draws) -> None:
     assert evidence_of_past_state(states, actions, SPACE).sum() < blind[0] / 4
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_entry_that_never_changes_gains_nothing(draws: Draws, late: int) -> None:
+    states, actions = rollouts(draws, late)
+    names, units = (*NAMES, "gripper"), (*UNITS, "m")
+    space = StateSpace(names, units, (0,), joint_match(names, units))
+    held = torch.cat([states, torch.full_like(states[..., :1], 0.3)], -1)
+    for evidence in (evidence_of_past_action, evidence_of_past_state):
+        found = evidence(held, actions, space)
+        assert found[2] == 0
+        torch.testing.assert_close(found[:2], evidence(states, actions, SPACE), rtol=0, atol=0.5)
+
+
 def test_what_does_not_fit_is_refused(draws: Draws) -> None:
     states, actions = rollouts(draws, 0)
     with pytest.raises(ValueError, match="periods must be from 1 to 19, got 20"):

@@ -130,7 +130,7 @@ def evidence_of_past_action(
 
     Returns:
         Nats for each of the model's E outputs, (E,). Below zero, the further input explained
-        nothing.
+        nothing. An output that never changes gains nothing.
 
     Raises:
         ValueError: shapes do not fit, a number is not finite, or ``periods`` is out of range.
@@ -184,9 +184,12 @@ def _evidence(
     """Nats (E,) by further inputs (N, T - periods, K) at u_t, from t = ``periods`` on."""
     before, after = states[:, periods:-1], states[:, periods + 1 :]
     inputs, learned = gp_data(before, actions[:, periods:], after, space, targets)
-    nats = []
-    for seen in (inputs, torch.cat([inputs, further], -1)):
-        data = seen.flatten(0, 1), learned.flatten(0, 1)
-        model = GPDynamics(data[0].shape[1], data[1].shape[1])
-        nats.append(model.fit(*data).negative_log_likelihood)
+    learned = learned.flatten(0, 1)
+    changes = (learned != learned[0]).any(0)
+    nats = learned.new_zeros(2, learned.shape[1])
+    for row, seen in zip(nats, (inputs, torch.cat([inputs, further], -1)), strict=True):
+        if changes.any():
+            model = GPDynamics(seen.shape[-1], int(changes.sum()))
+            fit = model.fit(seen.flatten(0, 1), learned[:, changes])
+            row[changes] = fit.negative_log_likelihood
     return nats[0] - nats[1]

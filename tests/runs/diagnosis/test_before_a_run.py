@@ -22,6 +22,7 @@ from torch_pmil.runs.diagnosis.before_a_run import TORQUE_STEPS, check, needed_t
 from torch_pmil.runs.diagnosis.demonstration_checks import (
     Finding,
     check_body,
+    check_common_motion,
     check_jumps,
     check_length,
     check_modes,
@@ -242,6 +243,32 @@ def test_starts_that_vary_more_than_shown_are_named(wide: float, found: int) -> 
     assert len(findings) == found
     if found:
         assert findings[0].message.startswith("the robot's starts vary by 0.155 in q, and those")
+
+
+@pytest.mark.parametrize(
+    ("begins", "ends", "found"),
+    [
+        ((0.0, 0.0), (1.0, -1.0), 1),  # left and right
+        ((0.0, 0.0, 0.0), (1.0, 1.1, -1.0), 1),
+        ((0.0, 0.0), (1.0, 2.0), 0),  # one way, by different amounts
+        ((0.3, -0.3), (0.0, 0.0), 0),  # different starts, one goal
+        ((0.0, 0.0), (0.02, -0.02), 0),  # noise about a place
+        ((0.0,) * 4, (1.0, 1.0, -1.0, -1.0), 0),  # enough for the test of two modes
+    ],
+)
+def test_two_demonstrations_that_part_are_named(
+    begins: tuple[float, ...], ends: tuple[float, ...], found: int
+) -> None:
+    first, last = (torch.tensor(each).double()[:, None] for each in (begins, ends))
+    shown = (first + (last - first) * torch.linspace(0, 1, 21))[..., None]
+    sets = [Demonstrations(shown, 0.05, ("q",))]
+    findings = check_common_motion(sets, [list(range(len(ends)))], torch.tensor(0.05).double())
+    assert len(findings) == found
+    if found:
+        assert findings[0].cause == "contradictory demonstrations"
+        assert f"at 1.00 s their q is {', '.join(f'{end:.3g}' for end in ends)}, and" in (
+            findings[0].message
+        )
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1.0, 2.0])

@@ -22,6 +22,8 @@ from torch_pmil.runs.diagnosis.modes import Split, split_in_two
 
 SIGNIFICANCE = 0.01  # of two modes: false alarms
 LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
+UNTESTED = 3  # demonstrations, up to which two modes are no surprise
+PARTED = 3.0  # standard deviation between demonstrations over that of their starts
 START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
 # largest difference of two that are one, in standard deviations of the observation noise
 SAME = 0.01
@@ -40,6 +42,7 @@ LONG = 500  # steps, whose trials may take an hour: the work grows with the cube
 ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
 UNREACHABLE = "demonstrations out of reach"  # a cause that several checks find
 FEW = "too few demonstrations"  # another one
+CONTRADICTORY = "contradictory demonstrations"  # another one
 WRAPS = "angles that wrap"  # of recordings, or of the robot
 
 
@@ -75,7 +78,7 @@ def check_modes(
 def _two_ways(split: Split, known: Sequence[int]) -> Finding:
     first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
     return Finding(
-        "contradictory demonstrations",
+        CONTRADICTORY,
         f"demonstrations {first} and {second} show two different ways "
         f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
         "their mean is neither: train on one of them alone",
@@ -95,6 +98,36 @@ def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: T
         f"{mean[step, entry]:.3g} ± {std[step, entry]:.2g}; look at it: leave it out if it went "
         "wrong, align it (pmil align) if it is late",
     )
+
+
+def check_common_motion(
+    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
+) -> list[Finding]:
+    """Find two or three demonstrations of a target that have less in common than keeps them apart.
+
+    Such demonstrations begin alike and part. Those that come together from different starts have no
+    finding.
+    """
+    findings = []
+    for demonstrations, known in zip(sets, numbers, strict=True):
+        scaled = demonstrations.positions / noise_std
+        if not 2 <= len(scaled) <= UNTESTED:
+            continue
+        mean = scaled.mean(0)
+        apart = (scaled - mean).square().mean(0)  # (T + 1, M)
+        common = (mean - mean[0]).square().mean()
+        begun = apart[0].mean().clamp(min=1.0)  # at least the noise
+        if apart.mean() <= max(common.item(), PARTED**2 * begun.item()):
+            continue
+        step, entry = _place(apart)
+        values = ", ".join(f"{value:.3g}" for value in demonstrations.positions[:, step, entry])
+        message = (
+            f"demonstrations {', '.join(map(str, known))} show different motions: at "
+            f"{step * demonstrations.time_step:.2f} s their {demonstrations.names[entry]} is "
+            f"{values}, and all that lies between counts as a success; show one way of moving"
+        )
+        findings.append(Finding(CONTRADICTORY, message))
+    return findings
 
 
 def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:

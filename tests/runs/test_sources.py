@@ -62,3 +62,11 @@ def test_hash_knows_the_names_of_modules(tmp_path: Path) -> None:
     before = hash_of_sources.__wrapped__(tmp_path)
     (tmp_path / "one.py").rename(tmp_path / "two.py")
     assert hash_of_sources.__wrapped__(tmp_path) != before
+
+
+@pytest.mark.parametrize(("room", "changes"), [("runs/report", False), ("runs", True)])
+def test_what_shows_a_run_does_not_count(tmp_path: Path, room: str, changes: bool) -> None:
+    before = hash_of_sources.__wrapped__(tmp_path)
+    (tmp_path / room).mkdir(parents=True)
+    (tmp_path / room / "module.py").write_text(SOURCE)
+    assert (hash_of_sources.__wrapped__(tmp_path) != before) is changes

@@ -156,7 +156,7 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
     summary = OLD | {"settings": settings, "trials": [trial]} | shares
     rows = rows_of(page_of(run_of(tmp_path / "run", summary)))
     for row in (
-        ["1", "2.5", "2", "50 %", "failed", "0.3", "all its iterations done"],
+        ["1", "2.5", "2", "50 %", "failed", "0.3", "all iterations"],
         ["x (m)", "0.01", "0.02"],
         ["horizon", "25", "control steps"],
         ["noise_std", "0.05", "m"],

@@ -12,7 +12,7 @@ from torch_pmil.runs.settings import SETTINGS
 from torch_pmil.runs.summaries import judged_alone
 
 ENDS = {  # of the optimiser's last run: reaching the limit of iterations is not a failure
-    "iteration limit": "all its iterations done",
+    "iteration limit": "all iterations",
     "gradient is small": "an optimum",
     "no further progress": "no further progress",
     "numerical failure": "a numerical failure",
@@ -112,7 +112,7 @@ def _trials(summary: Mapping) -> Table:
         text += " The promised rate is its lower bound once the model knows the own rollout"
         rate = summary.get("settings", {}).get("promise")
         text += f"; promise={rate:g} asks {(1 + rate) / 2:.1%}." if rate else "."
-    text += " A search usually does all its iterations; that is not a failure."
+    text += " A search usually uses all iterations; that is not a failure."
     return Table("Trials", [columns[field][0] for field in fields], rows, text)
 
 

@@ -101,12 +101,12 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
 	@cd build/dist && .venv/bin/python -m pytest -n 2 README.md docs/*/*.md notebooks tests --pyargs torch_pmil $(ARGS)
 
-test-wheel: dist  ## the commands of the wheel alone, in an empty folder; PYTHON=python3.12 for another Python
+test-wheel: dist  ## the commands of the wheel alone and the README's Python, in an empty folder; PYTHON=python3.12 for another Python
 	@rm -rf build/wheel && mkdir -p build/wheel
 	@echo "Building build/wheel/.venv with the wheel; this takes a few minutes."
 	@$(PYTHON) -m venv build/wheel/.venv
 	@cd build/wheel && $(PIP) $(TORCH_ARGS) -c ../../constraints.txt torch==2.13.0
-	@cd build/wheel && $(PIP) -c ../../constraints.txt ../../dist/*.whl
+	@cd build/wheel && $(PIP) -c ../../constraints.txt "$$(echo ../../dist/*.whl)[gym]"
 	@$(PYTHON) scripts/check_installed.py build/wheel/.venv/bin/pmil
 
 clean:  ## remove what make and the tests built, not runs/

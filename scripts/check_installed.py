@@ -1,4 +1,4 @@
-"""Try an installed ``pmil`` in an empty folder, and print what each command takes.
+"""Try an installed ``pmil`` and the README's Python in an empty folder, and print what each takes.
 
 Wall time depends on what else the machine does, processor time hardly.
 
@@ -9,12 +9,15 @@ Example:
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+ROOT = Path(__file__).parents[1]
 RUN = "runs/double_pendulum/seed_0"
 COMMANDS = {  # with what each must leave
     "--version": (),
@@ -28,6 +31,7 @@ COMMANDS = {  # with what each must leave
     f"play {RUN} --out mine.gif": ("mine.gif",),
     f"export {RUN}/policy.pt policy.pt2": ("policy.pt2",),
 }
+RECORDINGS = "examples/inverted_pendulum.csv"  # of the README's Python
 PATIENCE = 600  # s for a command
 FIRST_MOTION = 10  # s of processor time, until pmil play has made its file
 
@@ -39,13 +43,33 @@ def main() -> None:
     pmil = Path(sys.argv[1]).absolute()
     with tempfile.TemporaryDirectory() as folder:
         for command, left in COMMANDS.items():
-            wall, processor = run([str(pmil), *command.split()], Path(folder))
-            print(f"{wall:6.1f} s, of processors {processor:6.1f} s: pmil {command}", flush=True)
-            missing = [name for name in left if not Path(folder, name).is_file()]
-            if missing:
-                sys.exit(f"pmil {command} did not leave {', '.join(missing)}")
+            processor = run_and_say([pmil, *command.split()], Path(folder), left)
             if command == "play" and processor > FIRST_MOTION:
                 sys.exit(f"pmil play must show a motion within {FIRST_MOTION} s")
+        run_readme(pmil.with_name("python"), Path(folder))
+
+
+def run_readme(python: Path, folder: Path) -> None:
+    """Run the README's Python as a file, beside the recordings that it reads."""
+    (lines,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+    (folder / "readme.py").write_text(lines)
+    (folder / RECORDINGS).parent.mkdir()
+    shutil.copy(ROOT / RECORDINGS, folder / RECORDINGS)
+    run_and_say([python, "readme.py"], folder, ("policy.pt",))
+
+
+def run_and_say(command: list[Path | str], folder: Path, left: tuple[str, ...]) -> float:
+    """Run a command, print its times, and return that of processors, s.
+
+    Exits with 1 if it fails, or does not leave these files.
+    """
+    wall, processor = run(list(map(str, command)), folder)
+    words = " ".join([Path(command[0]).name, *map(str, command[1:])])
+    print(f"{wall:6.1f} s, of processors {processor:6.1f} s: {words}", flush=True)
+    missing = [name for name in left if not (folder / name).is_file()]
+    if missing:
+        sys.exit(f"{words} did not leave {', '.join(missing)}")
+    return processor
 
 
 def run(command: list[str], folder: Path) -> tuple[float, float]:

@@ -102,7 +102,7 @@ def test_installed_command_that_fails_or_leaves_nothing_is_named(
     """Commands in place of the installed one: ``false`` fails, ``true`` leaves no film."""
     for name, complaint in (
         ("false", r"false --version ended with 1"),
-        ("true", r"pmil play did not leave play\.gif"),
+        ("true", r"true play did not leave play\.gif"),
     ):
         monkeypatch.setattr(sys, "argv", ["check_installed.py", str(shutil.which(name))])
         script = runpy.run_path(str(ROOT / "scripts" / "check_installed.py"))

@@ -179,8 +179,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 def results_of(names: Sequence[str], folders: Sequence[Path]) -> Results:
     """Seeds that learned, experience and computing until the end, and success over experience.
 
-    A run that did not learn counts as one that takes for ever. Each run has a core to itself, so
-    that its seconds are CPU seconds.
+    A run that did not learn counts as one that takes for ever.
     """
     runs = [read_summary(folder) for folder in folders]
     headline: dict[str, float | None] = {}
@@ -192,7 +191,7 @@ def results_of(names: Sequence[str], folders: Sequence[Path]) -> Results:
             "seeds_at_95": sum(map(learned, own)),
             "median_experience_s": median_of_learned(own, "experience_s"),
             "median_first_95_s": median_to_goal(own),
-            "median_cpu_seconds": median_of_learned(own, "wall_seconds"),
+            "median_cpu_seconds": median_of_learned(own, "cpu_seconds"),
         }
         headline |= {f"{name}_{key}": number for key, number in numbers.items()}
         curve = success_over_experience(own)

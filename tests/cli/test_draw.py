@@ -308,7 +308,8 @@ def test_what_is_drawn_trains_with_the_command_that_was_printed(
 ) -> None:
     given = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     started = {"cwd": ROOT, "env": given, "text": True}
-    command = [sys.executable, "-m", "torch_pmil", "draw", tmp_path / "arc.npz"]
+    pmil = [sys.executable, "-m", "torch_pmil"]
+    command = [*pmil, "draw", tmp_path / "arc.npz"]
     draw = subprocess.Popen(command, stdout=subprocess.PIPE, **started)
     with draw, browser.new_page(viewport={"width": 900, "height": 800}) as page:
         page.goto(re.search(r"http\S+", draw.stdout.readline())[0])
@@ -317,7 +318,7 @@ def test_what_is_drawn_trains_with_the_command_that_was_printed(
         page.locator("#save").click()
         printed = draw.stdout.read()
     command = shlex.split(re.search(r"train with: (.*)", printed)[1])
-    arguments = [sys.executable, *command[1:], "trials=3", f"out={tmp_path / 'run'}"]
+    arguments = [*pmil, *command[1:], "trials=3", f"out={tmp_path / 'run'}"]
     trained = subprocess.run(arguments, capture_output=True, check=True, **started).stdout
     summary = json.loads((tmp_path / "run/summary.json").read_text())
     assert "warning" not in trained and summary["experiment"] == "handwriting_own_double_pendulum"

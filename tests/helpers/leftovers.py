@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_pmil.trainer.checkpoints import read_checkpoint
 
-TIMES = {"date", "commit", "wall_seconds", "seconds", "gp_seconds", "search_seconds"}
+TIMES = {"date", "commit", "wall_seconds", "cpu_seconds", "seconds", "gp_seconds", "search_seconds"}
 
 
 def left_in(folder: Path) -> dict[str, Any]:

@@ -30,7 +30,8 @@ from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.collector import RolloutCollector
 
 ROOT = Path(__file__).parents[2]
-TIMES = {"date", "wall_seconds", "commit"}, {"gp_seconds", "search_seconds"}  # of a run, of a trial
+# of a run, of a trial
+TIMES = {"date", "wall_seconds", "cpu_seconds", "commit"}, {"gp_seconds", "search_seconds"}
 STOPS = (
     ("collection", 2),  # no checkpoint yet
     ("collection", STEPS + 2),

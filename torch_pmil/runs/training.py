@@ -246,6 +246,7 @@ def _finish(
         **origin,
         "settings": {"trials": trials, **task.settings},
         "wall_seconds": round(trainer.seconds, 2),
+        "cpu_seconds": round(trainer.cpu_seconds, 2),
         **results,
     }
     write_json(own(out, "summary.json"), summary)

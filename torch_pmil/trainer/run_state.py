@@ -26,7 +26,7 @@ class RunState:
         trials: completed trials.
         pending: the trial whose policy runs next, or None.
         candidates: the policies that ran.
-        begun: time at which the run began, without interruptions.
+        begun, begun_cpu: wall and CPU time at which the run began, without interruptions.
     """
 
     def __init__(self, actor: RobotActor, robots: int) -> None:
@@ -35,12 +35,17 @@ class RunState:
         self.trials: list[Trial] = []
         self.pending: Trial | None = None
         self.candidates: list[Candidate] = []
-        self.begun = time.perf_counter()
+        self.begun, self.begun_cpu = time.perf_counter(), time.process_time()
 
     @property
     def seconds(self) -> float:
         """Wall time since the run began, without interruptions, s."""
         return time.perf_counter() - self.begun
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of this process since the run began, without interruptions, s."""
+        return time.process_time() - self.begun_cpu
 
     def state_dict(self) -> dict[str, object]:
         """What a checkpoint holds of it."""
@@ -49,6 +54,7 @@ class RunState:
             "rollouts": self.rollouts,
             "explored": self.explored,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "trials": [asdict(trial) for trial in self.trials],
             "pending": None if self.pending is None else asdict(self.pending),
             "candidates": [vars(candidate) for candidate in self.candidates],
@@ -59,6 +65,7 @@ class RunState:
         self.actor.exploring, pending = state_dict["exploring"], state_dict["pending"]
         self.rollouts, self.explored = state_dict["rollouts"], state_dict["explored"]
         self.begun = time.perf_counter() - state_dict["seconds"]
+        self.begun_cpu = time.process_time() - state_dict["cpu_seconds"]
         self.trials = [Trial(**trial) for trial in state_dict["trials"]]
         self.pending = None if pending is None else Trial(**pending)
         self.candidates = [Candidate(**candidate) for candidate in state_dict["candidates"]]

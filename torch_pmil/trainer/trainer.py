@@ -174,6 +174,11 @@ class PMILTrainer(Trainer):
         return self.state.seconds
 
     @property
+    def cpu_seconds(self) -> float:
+        """CPU time of this process since the run began, without interruptions, s."""
+        return self.state.cpu_seconds
+
+    @property
     def trials(self) -> list[Trial]:
         """The completed trials."""
         return self.state.trials

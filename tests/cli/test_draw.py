@@ -321,5 +321,5 @@ def test_what_is_drawn_trains_with_the_command_that_was_printed(
     arguments = [*pmil, *command[1:], "trials=3", f"out={tmp_path / 'run'}"]
     trained = subprocess.run(arguments, capture_output=True, check=True, **started).stdout
     summary = json.loads((tmp_path / "run/summary.json").read_text())
-    assert "warning" not in trained and summary["experiment"] == "handwriting_own_double_pendulum"
+    assert "warning" not in trained and summary["experiment"] == "handwriting"
     assert math.hypot(*summary["rms_error"].values()) < 0.2 * SIDE  # as large as it was drawn

@@ -253,8 +253,8 @@ def test_diverged_simulation_names_environment_and_step(tmp_path, monkeypatch):
 
 PICTURES = """
 import torch
+from torch_pmil.envs import DoublePendulumEnv  # before torchrl, which fails with a misspelt backend
 from torchrl.envs.utils import check_env_specs
-from torch_pmil.envs import DoublePendulumEnv
 for num_envs in (None, 2):
     env = DoublePendulumEnv(num_envs=num_envs, from_pixels=True, seed=0)
     check_env_specs(env)
@@ -264,6 +264,12 @@ assert pixels.shape == (2, 480, 480, 3) and hanging.shape == (480, 480, 3)
 assert pixels.dtype == torch.uint8
 assert (hanging != upright).any()
 """
+
+
+@pytest.mark.slow
+def test_pictures_are_drawn_without_a_display_after_torchrl_imported_mujoco():
+    result = drawn("import torchrl.envs\n" + PICTURES)
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.slow

@@ -1,19 +1,15 @@
 """Robots as TorchRL environments, simulated and physical."""
 
-import ctypes.util
-import importlib
 import os
 
-if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
-    # pictures without a display; MuJoCo reads this at its first import
-    os.environ.setdefault("MUJOCO_GL", "egl")
+from torch_pmil.envs.opengl import chosen_backend, import_mujoco
+
 try:
-    importlib.import_module("mujoco")
+    chosen = chosen_backend()
+    import_mujoco(chosen)
 except (RuntimeError, AttributeError, OSError):
     # a misspelt or broken backend: robots move without pictures, and open_renderer reports it
-    chosen = os.environ.get("MUJOCO_GL", "")
-    os.environ["MUJOCO_GL"] = "disable"
-    importlib.import_module("mujoco")
+    import_mujoco("disable")
     os.environ["MUJOCO_GL"] = chosen
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin

@@ -24,7 +24,7 @@ from reproduction.own_parts import OWN_PARTS
 from reproduction.peers import PEERS_STUDY
 from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.pilco_gymnasium import PILCO_GYMNASIUM
-from reproduction.pilco_scenarios import PILCO_SCENARIOS
+from reproduction.pilco_scenarios import PILCO_CART_DOUBLE, PILCO_SCENARIOS
 from reproduction.reaching import REACHING
 from reproduction.recorded_peers import RECORDED_PEERS
 from reproduction.remembering import DELAY, POSITIONS_ONLY
@@ -69,6 +69,7 @@ PAPER = {
         ACROBOT,
         IMPERFECT,
         PILCO_SCENARIOS,
+        PILCO_CART_DOUBLE,
         PILCO_GYMNASIUM,
         IMPROVEMENT_STUDY,
         OWN_PARTS,

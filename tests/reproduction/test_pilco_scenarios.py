@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from reproduction.pilco_scenarios import GRAVITY, SCENARIOS, ChainEnv, Scenario
-
-CART_DOUBLE = Scenario((0.6, 0.6), (0.5, 0.5), 0.5, 0.0, (20.0,), 50, 0.05, 0.5, 10, 1, None)
+from reproduction.pilco_scenarios import CART_DOUBLE, GRAVITY, SCENARIOS, ChainEnv, Scenario
 
 
 def energy(scenario: Scenario, state: np.ndarray) -> float:

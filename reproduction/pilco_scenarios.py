@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any, ClassVar
 
 import gymnasium
@@ -196,6 +196,8 @@ def results_of(names: Sequence[str], folders: Sequence[Path]) -> Results:
         numbers = {
             "runs": len(own),
             "seeds_at_95": sum(map(learned, own)),
+            "mean_success": fmean(run["saved_success_rate"] for run in own),
+            "least_success": min(run["saved_success_rate"] for run in own),
             "median_experience_s": median_of_learned(own, "experience_s"),
             "median_first_95_s": median_to_goal(own),
             "median_cpu_seconds": median_of_learned(own, "cpu_seconds"),

@@ -25,6 +25,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from reproduction.teachers.hand import Hand, lead_by_hand
+from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.distribution import demonstration_spread
@@ -293,11 +294,16 @@ def spread(shown: Demonstrations) -> float:
 class ArmPilco(CostTask):
     """The motion's last pose by PILCO's cost, with the first policy and motion of the imitation."""
 
-    shown_states: Tensor  # (S, D)
+    imitation: Task
+
+    @property
+    def exploration(self) -> Exploration:
+        """That of the imitation, along its demonstrations."""
+        return self.imitation.exploration
 
     def make_policy(self, generator: torch.Generator) -> AnyPolicy:
         """A new policy with centres near demonstrated states."""
-        return self.policy_near(self.space.features(self.shown_states), generator)
+        return self.policy_near(self.space.features(self.imitation.demonstrated_states), generator)
 
 
 def pilco_experiment(arm: Arm) -> ArmPilco:
@@ -305,10 +311,11 @@ def pilco_experiment(arm: Arm) -> ArmPilco:
     task = arm_experiment(arm)
     last, names = task.demonstrations.positions[:, -1].mean(0), task.space.match_space.names
     cost = SaturatingCost(target=dict(zip(names, last.tolist(), strict=True)), width=COST_WIDTH)
-    pilco = with_cost(task, f"{arm.name}_pilco", cost, MOST_SPEED)
+    alone = task.with_settings(explore_demonstrated=False)
+    pilco = with_cost(alone, f"{arm.name}_pilco", cost, MOST_SPEED)
     same: dict[str, Any] = {entry.name: getattr(pilco, entry.name) for entry in fields(pilco)}
-    method = replace(task.method, search=COST_SEARCH)
-    return ArmPilco(**(same | {"method": method}), shown_states=task.demonstrated_states)
+    method = replace(alone.method, search=COST_SEARCH)
+    return ArmPilco(**(same | {"method": method}), imitation=task)
 
 
 @torch.no_grad()

@@ -125,6 +125,7 @@ def test_numbers_of_numpy_are_those_of_python() -> None:
         ({"optimizer": "Adam"}, "optimizer must be a torch.optim class whose step takes a closure"),
         ({"optimizer": lambda p: None}, "got <lambda>: 'NoneType' object has no attribute 'step'"),
         ({"initial": at(0.0, 0.0, 0.0)}, "initial must be over the 4 entries of the state, got 3"),
+        ({"explore_demonstrated": True}, "explore_demonstrated needs demonstrations, got a cost"),
         ({"box": {"q": 1}}, "limits of q must be two numbers, low < high, got 1"),
         ({"success": 1}, "success must be a function of states, got int"),
         (

@@ -19,7 +19,7 @@ VELOCITY_STD = 3.0  # rad/s
 
 def with_cost(task: Task, name: str, cost: SaturatingCost, velocity_std: float) -> CostTask:
     """The robot, the start, the measure of success and the policy class of a task, with a cost."""
-    left = {"name", "demonstrations", "demonstrated_states", "noise_std", "method"}
+    left = {"name", "demonstrations", "demonstrated_states", "noise_std", "method", "samplings"}
     same = {each.name: getattr(task, each.name) for each in fields(Task) if each.name not in left}
     return CostTask(
         **same,

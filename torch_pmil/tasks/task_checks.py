@@ -26,9 +26,11 @@ def check_movements(movements: PDMovements, dim: int) -> None:
 
 
 def check_demonstrated_way(
-    demonstrations: Demonstrations, holding_actions: object, demonstrated_states: Tensor
+    demonstrations: Demonstrations | None, holding_actions: object, demonstrated_states: Tensor
 ) -> None:
     """Raise ValueError unless it is known what holds the robot along the demonstrations."""
+    if demonstrations is None:
+        raise ValueError("explore_demonstrated needs demonstrations, got a cost in their place")
     count, samples = demonstrations.positions.shape[:2]
     if holding_actions is None:
         raise ValueError(

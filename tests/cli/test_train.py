@@ -32,7 +32,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.runs import pictures, settings
-from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.findings import Finding
 from torch_pmil.runs.own_files import LIST
 from torch_pmil.runs.settings import word_of
 from torch_pmil.runs.training import RunResult, train as learn

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from torch_pmil.demonstrations import DemonstrationError
 from torch_pmil.files import bounded_line
-from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.findings import Finding
 from torch_pmil.runs.run_folder import read_command
 from torch_pmil.runs.summaries import RunError, judged_alone
 from torch_pmil.search.promise import Promise

@@ -20,17 +20,16 @@ from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.diagnosis.before_a_run import TORQUE_STEPS, check, needed_torques
 from torch_pmil.runs.diagnosis.demonstration_checks import (
-    Finding,
-    check_body,
-    check_common_motion,
+    check_agreement,
     check_jumps,
     check_length,
-    check_modes,
     check_rest,
     check_spread,
     check_start,
 )
+from torch_pmil.runs.diagnosis.findings import Finding
 from torch_pmil.runs.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
+from torch_pmil.runs.diagnosis.reach_checks import check_body
 from torch_pmil.tasks.registry import EXPERIMENTS, demonstrations_from, load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -130,7 +129,7 @@ def test_one_wrong_demonstration_of_a_target_has_its_number_in_the_file() -> Non
     targets = torch.arange(2.0).repeat_interleave(5)[:, None]
     given = Demonstrations(both, shipped.time_step, shipped.names, targets, ("place",))
     _, sets = given.by_target()
-    (found,) = check_modes(sets, [range(5), range(5, 10)], torch.tensor(0.05))
+    (found,) = check_agreement(sets, [range(5), range(5, 10)], torch.tensor(0.05))
     assert found.message.startswith("demonstration 7 is unlike the others: ")
 
 
@@ -253,7 +252,6 @@ def test_starts_that_vary_more_than_shown_are_named(wide: float, found: int) -> 
         ((0.0, 0.0), (1.0, 2.0), 0),  # one way, by different amounts
         ((0.3, -0.3), (0.0, 0.0), 0),  # different starts, one goal
         ((0.0, 0.0), (0.02, -0.02), 0),  # noise about a place
-        ((0.0,) * 4, (1.0, 1.0, -1.0, -1.0), 0),  # enough for the test of two modes
     ],
 )
 def test_two_demonstrations_that_part_are_named(
@@ -262,7 +260,7 @@ def test_two_demonstrations_that_part_are_named(
     first, last = (torch.tensor(each).double()[:, None] for each in (begins, ends))
     shown = (first + (last - first) * torch.linspace(0, 1, 21))[..., None]
     sets = [Demonstrations(shown, 0.05, ("q",))]
-    findings = check_common_motion(sets, [list(range(len(ends)))], torch.tensor(0.05).double())
+    findings = check_agreement(sets, [list(range(len(ends)))], torch.tensor(0.05).double())
     assert len(findings) == found
     if found:
         assert findings[0].cause == "contradictory demonstrations"

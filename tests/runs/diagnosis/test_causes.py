@@ -24,7 +24,7 @@ from torch_pmil.runs.diagnosis.causes import (
     unexplained,
     unpredictable,
 )
-from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.findings import Finding
 from torch_pmil.runs.diagnosis.measures import (
     FEWEST_STEPS,
     SATURATED,

@@ -28,7 +28,7 @@ from torch_pmil.runs.diagnosis.causes import (
     group,
     unexplained,
 )
-from torch_pmil.runs.diagnosis.demonstration_checks import FEW, Finding
+from torch_pmil.runs.diagnosis.findings import FEW, Finding
 from torch_pmil.runs.diagnosis.measures import LEARNED, LITTLE, MATCHED, first_mismatch
 from torch_pmil.search.improving_loss import ImprovingKLLoss
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms

@@ -8,22 +8,23 @@ import torch
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.runs.diagnosis.demonstration_checks import (
-    Finding,
-    check_body,
-    check_box,
-    check_common_motion,
+    check_agreement,
     check_count,
     check_duplicates,
     check_jumps,
     check_length,
-    check_modes,
-    check_reach,
     check_rest,
     check_spread,
     check_start,
+    check_turns,
+)
+from torch_pmil.runs.diagnosis.findings import Finding
+from torch_pmil.runs.diagnosis.reach_checks import (
+    check_body,
+    check_box,
+    check_reach,
     check_stops,
     check_torques,
-    check_turns,
 )
 from torch_pmil.tasks.task import Task
 
@@ -64,8 +65,7 @@ def check(task: Task) -> list[Finding]:
         *check_spread(sets, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
         *(check_turns(demonstrations) or check_rest(demonstrations, noise_std)),
-        *check_modes(sets, numbers, noise_std),
-        *check_common_motion(sets, numbers, noise_std),
+        *check_agreement(sets, numbers, noise_std),
         *check_length(demonstrations),
         *check_duplicates(demonstrations, noise_std),
         *check_count(sets),

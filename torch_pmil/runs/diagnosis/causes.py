@@ -20,7 +20,7 @@ from torch_pmil.demonstrations.turns import wrapped_within
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.model.past_evidence import PastEvidence
-from torch_pmil.runs.diagnosis.demonstration_checks import WRAPS, Finding
+from torch_pmil.runs.diagnosis.findings import WRAPS, Finding
 from torch_pmil.runs.diagnosis.measures import (
     COVERED,
     EVIDENCE,

@@ -7,17 +7,16 @@ which entries are compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import scipy
 import torch
 from torch import Tensor
 
-from torch_pmil.control.state_box import StateBox
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.turns import jumps_by_turns
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.runs.diagnosis.findings import CONTRADICTORY, FEW, WRAPS, Finding
 from torch_pmil.runs.diagnosis.modes import Split, split_in_two
 
 SIGNIFICANCE = 0.01  # of two modes: false alarms
@@ -35,44 +34,35 @@ WINDOW = 0.1  # of the duration, in which a change is motion
 MOVES = 0.05  # such a change, over the largest one
 SHORT_REST = 3  # steps: a rest up to this is not named
 SHORT_SHARE = 0.1  # of the duration, likewise
-OUT_OF_REACH = 2.0  # standard deviations of the observation noise
-STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
-TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
 LONG = 500  # steps, whose trials may take an hour: the work grows with the cube of all experience
 ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
-UNREACHABLE = "demonstrations out of reach"  # a cause that several checks find
-FEW = "too few demonstrations"  # another one
-CONTRADICTORY = "contradictory demonstrations"  # another one
-WRAPS = "angles that wrap"  # of recordings, or of the robot
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A flaw of demonstrations: one of a few causes, and a line with what, where and what to do.
-
-    Nothing good can come of a fatal one.
-    """
-
-    cause: str
-    message: str
-    fatal: bool = False
-
-
-def check_modes(
+def check_agreement(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Find two modes in the demonstrations of one target, or one of them unlike the others."""
-    findings = []
-    for demonstrations, known in zip(sets, numbers, strict=True):
-        split = split_in_two(demonstrations.positions / noise_std)
-        if split and split.p_value < SIGNIFICANCE and split.explained > LEAST_EXPLAINED:
-            lone = min(split.parts, key=len)
-            findings.append(
-                _two_ways(split, known)
-                if len(lone) > 1
-                else _unlike(demonstrations, lone[0], known[lone[0]], noise_std)
-            )
-    return findings
+    """Find demonstrations of one target that show different motions.
+
+    Of two or three, these have less in common than keeps them apart. Of more, these have two modes,
+    or one of them is unlike the others.
+    """
+    found = [
+        (_parted if len(each.positions) <= UNTESTED else _modes)(each, known, noise_std)
+        for each, known in zip(sets, numbers, strict=True)
+    ]
+    return [finding for finding in found if finding is not None]
+
+
+def _modes(
+    demonstrations: Demonstrations, known: Sequence[int], noise_std: Tensor
+) -> Finding | None:
+    split = split_in_two(demonstrations.positions / noise_std)
+    if split is None or split.p_value >= SIGNIFICANCE or split.explained <= LEAST_EXPLAINED:
+        return None
+    lone = min(split.parts, key=len)
+    if len(lone) > 1:
+        return _two_ways(split, known)
+    return _unlike(demonstrations, lone[0], known[lone[0]], noise_std)
 
 
 def _two_ways(split: Split, known: Sequence[int]) -> Finding:
@@ -90,7 +80,7 @@ def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: T
     positions = demonstrations.positions
     others = torch.cat([positions[:lone], positions[lone + 1 :]])
     mean, std = others.mean(0), others.std(0)
-    step, entry = _place(((positions[lone] - mean) / noise_std).abs())
+    step, entry = place(((positions[lone] - mean) / noise_std).abs())
     return Finding(
         "one demonstration unlike the others",
         f"demonstration {number} is unlike the others: at {step * demonstrations.time_step:.2f} s "
@@ -100,34 +90,25 @@ def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: T
     )
 
 
-def check_common_motion(
-    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
-) -> list[Finding]:
-    """Find two or three demonstrations of a target that have less in common than keeps them apart.
-
-    Such demonstrations begin alike and part. Those that come together from different starts have no
-    finding.
-    """
-    findings = []
-    for demonstrations, known in zip(sets, numbers, strict=True):
-        scaled = demonstrations.positions / noise_std
-        if not 2 <= len(scaled) <= UNTESTED:
-            continue
-        mean = scaled.mean(0)
-        apart = (scaled - mean).square().mean(0)  # (T + 1, M)
-        common = (mean - mean[0]).square().mean()
-        begun = apart[0].mean().clamp(min=1.0)  # at least the noise
-        if apart.mean() <= max(common.item(), PARTED**2 * begun.item()):
-            continue
-        step, entry = _place(apart)
-        values = ", ".join(f"{value:.3g}" for value in demonstrations.positions[:, step, entry])
-        message = (
-            f"demonstrations {', '.join(map(str, known))} show different motions: at "
-            f"{step * demonstrations.time_step:.2f} s their {demonstrations.names[entry]} is "
-            f"{values}, and all that lies between counts as a success; show one way of moving"
-        )
-        findings.append(Finding(CONTRADICTORY, message))
-    return findings
+def _parted(
+    demonstrations: Demonstrations, known: Sequence[int], noise_std: Tensor
+) -> Finding | None:
+    """Demonstrations that begin alike and part; others come together from different starts."""
+    scaled = demonstrations.positions / noise_std
+    mean = scaled.mean(0)
+    apart = (scaled - mean).square().mean(0)  # (T + 1, M)
+    common = (mean - mean[0]).square().mean()
+    begun = apart[0].mean().clamp(min=1.0)  # at least the noise
+    if apart.mean() <= max(common.item(), PARTED**2 * begun.item()):
+        return None
+    step, entry = place(apart)
+    values = ", ".join(f"{value:.3g}" for value in demonstrations.positions[:, step, entry])
+    message = (
+        f"demonstrations {', '.join(map(str, known))} show different motions: at "
+        f"{step * demonstrations.time_step:.2f} s their {demonstrations.names[entry]} is "
+        f"{values}, and all that lies between counts as a success; show one way of moving"
+    )
+    return Finding(CONTRADICTORY, message)
 
 
 def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
@@ -276,99 +257,6 @@ def check_turns(demonstrations: Demonstrations) -> list[Finding]:
     return [Finding(WRAPS, message) for message in jumps_by_turns(demonstrations)]
 
 
-def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
-    """Find places where the robot cannot be, by what it shows in the recovered states.
-
-    ``shown`` is (N, T + 1, M), as the positions of the demonstrations.
-    """
-    apart = (demonstrations.positions - shown).abs()
-    return [
-        Finding(
-            UNREACHABLE,
-            f"demonstration {number} leaves the workspace: at "
-            f"{step * demonstrations.time_step:.2f} s the robot stays "
-            f"{apart[number, step, entry]:.3g} away in {demonstrations.names[entry]}; scale it or "
-            "place it elsewhere",
-            fatal=True,
-        )
-        for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
-    ]
-
-
-def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
-    r"""Find places where the robot cannot be, a little off in all demonstrations alike.
-
-    The observation noise of N demonstrations leaves their mean with a standard deviation of
-    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. If the mean is farther than this from what the robot
-    can show (by :math:`\chi^2` over all entries and times), and somewhere by more than the noise,
-    another body or another base has shown it. Arguments as for :func:`check_reach`.
-    """
-    positions = demonstrations.positions
-    off = (positions - shown).mean(0)  # (T + 1, M)
-    size = off.abs() / noise_std
-    bound = scipy.special.chdtri(size.numel(), SIGNIFICANCE)
-    if len(positions) * size.square().sum() <= bound or size.amax() <= 1:
-        return []
-    step, entry = _place(size)
-    message = (
-        "the demonstrations show positions that this robot cannot reach: their mean is up to "
-        f"{off[step, entry].abs():.2g} off, in {demonstrations.names[entry]} at "
-        f"{step * demonstrations.time_step:.2f} s; measure the links and the base of the body "
-        "that showed them, or match only what both bodies can show"
-    )
-    return [Finding(UNREACHABLE, message)]
-
-
-def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
-    """Find joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
-    return [
-        Finding(
-            UNREACHABLE,
-            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint "
-            f"{joint} would be {excess[number, step, joint]:.3g} beyond its stop; scale it or "
-            "place it elsewhere",
-            fatal=True,
-        )
-        for number, step, joint in _worst(excess, STOP_MARGIN)
-    ]
-
-
-def check_box(box: StateBox, states: Tensor) -> list[Finding]:
-    """Find demonstrated states (N, T + 1, D) outside the limits of the learning robot's motion."""
-    return [
-        Finding(
-            UNREACHABLE,
-            f"demonstration {number} goes where the robot must not go: {line}; widen the box, or "
-            "show a slower or smaller motion",
-        )
-        for number, line in enumerate(map(box.guard, states))
-        if line
-    ]
-
-
-def check_torques(
-    torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float
-) -> list[Finding]:
-    """Find torques (N, T, F) of the control periods beyond the limits (F,) of the motors, N·m."""
-    return [
-        Finding(
-            UNREACHABLE,
-            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor "
-            f"{names[motor]} at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show "
-            "it more slowly or smaller, or smooth it",
-        )
-        for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
-    ]
-
-
-def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
-    """Demonstration, step and entry of the largest of its sizes (N, T, K), if above a bound."""
-    for number, size in enumerate(sizes):
-        step, entry = _place(size)
-        if size[step, entry] > bound:
-            yield number, step, entry
-
-
-def _place(sizes: Tensor) -> tuple[int, int]:
+def place(sizes: Tensor) -> tuple[int, int]:
     """Step and entry of the largest of sizes (T, K)."""
     return divmod(int(sizes.argmax()), sizes.shape[1])

@@ -27,7 +27,7 @@ from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 
 SPEED_FACTOR = 1.3  # largest speed of a joint, in largest demonstrated ones
-SEEDS = range(5)
+SEEDS = range(10)
 TRIALS = {"without": 12, "with": 30}  # the rollouts of refused policies are short, so they are more
 STARTS, START_SEED = 100, 5_000_000  # no start that a run has seen
 

@@ -33,7 +33,7 @@ from torch_pmil.tasks.task import Task
 
 DELAYS = (0.0, 0.02, 0.05, 0.1)  # s
 AHEAD = (1, 5, 10, 25)  # control steps
-SEEDS, TRIALS = range(5), 12
+SEEDS, TRIALS = range(10), 12
 STARTS, START_SEED = 20, 5_000_000  # no start that a run has seen
 
 

@@ -19,7 +19,7 @@ from torch_pmil.tasks.task import Task
 
 LABEL = "imitation with position servos"
 SECOND_LINKS = (0.15, 1.0)  # kg
-VARIED_SEEDS, QUICK_SEEDS = range(3), range(1)
+VARIED_SEEDS, QUICK_SEEDS = range(10), range(1)
 STARTS, START_SEED = 100, 8_000_000  # no start that a run has seen
 
 

@@ -30,7 +30,7 @@ BALLS = TargetStudy(
     trials=15,
     value=least_distance,
     labels=("y (m)", "z (m)", "least distance of racket and ball (m)"),
-    seeds=range(5),
+    seeds=range(10),
 )
 
 

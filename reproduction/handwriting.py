@@ -22,7 +22,7 @@ from torch_pmil.tasks.task import Task
 # the shapes that the experiment was developed on
 SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "GShape")}
 TASKS = {"double_pendulum": handwriting, "biorob": handwriting_biorob}
-SEEDS, TRIALS = range(3), 12
+SEEDS, TRIALS = range(10), 12
 QUICK_SHAPES, QUICK_TRIALS = {"double_pendulum": ("Angle",)}, 2
 STARTS, START_SEED = 10, 7_000_000  # drawn strokes of the robot, from starts that no run has seen
 FROM_SUMMARY = (

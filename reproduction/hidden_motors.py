@@ -21,7 +21,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.with_history import with_history
 
-SEEDS, QUICK_SEEDS = range(5), range(1)
+SEEDS, QUICK_SEEDS = range(10), range(1)
 # rollouts of 2 s that the model learns from; the first number is that of a run's exploration
 ROLLOUTS = (3, 6, 12, 24)
 TESTED = 20  # further rollouts of 2 s

@@ -45,7 +45,7 @@ from torch_pmil.tasks.strokes import distance_spread
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.writers import pendulum_writer, states_of_strokes
 
-SEEDS, TRIALS = range(5), 10
+SEEDS, TRIALS = range(10), 10
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
 STARTS, START_SEED = 20, 11_000_000  # from which policies are measured; no run has seen them
 WRONG = 2  # number of the demonstration that is wrong

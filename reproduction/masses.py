@@ -31,7 +31,7 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 SECOND_LINKS = (0.15, 0.3, 0.4, 0.5, 0.57, 0.65, 0.8, 1.0)  # kg, second link of the robots
-SEEDS = range(3)  # of our runs on each robot
+SEEDS = range(10)  # of our runs on each robot
 TRIALS = 13
 CLONED = range(10)  # seeds of the cloned demonstrations; those of 0 come with the package
 STARTS = 100

@@ -36,7 +36,7 @@ PLACES = TargetStudy(
     trials=12,
     value=distance_of_tip,
     labels=("x (m)", "y (m)", "largest distance in the last 0.5 s (m)"),
-    seeds=range(3),
+    seeds=range(10),
 )
 NARROW_PLACES = replace(PLACES, name="reaching_narrow", experiment=narrow)
 

@@ -23,7 +23,7 @@ from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import is_finished, read_summary
 from torch_pmil.runs.training import train
 
-SEEDS = range(3)
+SEEDS = range(10)
 TRIALS = 12
 KILLS = 20
 PRECISION = 0.002  # s

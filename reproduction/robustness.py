@@ -21,7 +21,7 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
-SEEDS = range(2)
+SEEDS = range(10)
 TRIALS = 13
 STARTS = 100
 START_SEED = 6_000_000  # no start that a run has seen

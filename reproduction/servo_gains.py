@@ -20,7 +20,7 @@ from torch_pmil.trainer.trials import success_rate
 STIFFNESSES = (3.0, 10.0, 30.0, 100.0)  # N·m/rad
 DAMPINGS = (0.3, 1.0, 3.0, 10.0)  # N·m·s/rad
 LEARNED = ((3.0, 0.3), (3.0, 1.0), (10.0, 1.0), (10.0, 3.0), (30.0, 3.0), (100.0, 10.0))
-SEEDS, TRIALS = range(3), 8
+SEEDS, TRIALS = range(10), 8
 STARTS, START_SEED = 20, 9_000_000  # no start that a run has seen
 
 

@@ -39,7 +39,7 @@ from torch_pmil.runs.training import train
 from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trials import success_rate
 
-SEEDS = {"ur5e": range(10), "panda": range(5), "pilco": range(3)}
+SEEDS = {"ur5e": range(10), "panda": range(10), "pilco": range(10)}
 QUICK_SEEDS = {"ur5e": range(1), "panda": range(1), "pilco": range(0)}
 TRIALS = 3  # of 3 s, after a first motion of 3 s
 START_SEED = 7_000_000  # no start that a run has seen

@@ -147,8 +147,6 @@ class Practice:
     def __init__(self, experiment: Task, peer: Peer, seed: int, factor: int) -> None:
         self.experiment, self.peer, self.factor = experiment, peer, factor
         self.robot = experiment.robot(seed)
-        if experiment.state_box is not None:
-            self.robot.guard = experiment.state_box.guard
         self.fresh = experiment.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)
         generator = generator_of(Stream.MOTION, seed)
         motion, exploration = experiment.exploration.motion(generator), experiment.exploration

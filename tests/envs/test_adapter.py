@@ -19,6 +19,7 @@ from torchrl.envs.utils import check_env_specs
 from tests.envs.driving import resumed, step
 from tests.helpers.draws import Draws
 from torch_pmil.envs import AdaptedEnv, CosSin
+from torch_pmil.envs.adapter import EpisodeEndedError
 from torch_pmil.seeds import SEEDS
 
 CART = partial(GymEnv, "InvertedPendulum-v5", reset_noise_scale=0.1)
@@ -230,3 +231,31 @@ def test_pictures_come_beside_the_observation() -> None:
     assert rollout["next", "pixels"].shape == (2, 500, 500, 3)
     assert rollout["pixels"].dtype == torch.uint8
     assert rollout["observation"].shape == (2, 3)
+
+
+class Strict(Wheel):
+    """Refuses actions after its end, or shows no number then."""
+
+    def __init__(self, shows_nan: bool = False) -> None:
+        super().__init__()
+        self.shows_nan = shows_nan
+
+    def _step(self, tensordict: TensorDict) -> TensorDict:
+        if self.heard and not self.shows_nan:
+            raise AssertionError("reset me")
+        step = super()._step(tensordict)
+        return step.set("seen", step["seen"] * torch.nan) if self.shows_nan else step
+
+
+def test_environment_that_refuses_actions_after_its_end_is_named() -> None:
+    robot = AdaptedEnv(Strict, 0.1, observation="seen", action="motor")
+    with pytest.raises(
+        EpisodeEndedError, match=r"it was terminated and then raised Asser.*reset me"
+    ):
+        robot.rollout(3)
+
+
+def test_reading_that_is_no_number_is_named_with_its_remedy() -> None:
+    robot = AdaptedEnv(partial(Strict, True), 0.1, observation="seen", action="motor")
+    with pytest.raises(RuntimeError, match=r"must be finite, got \[nan.*: return the last reading"):
+        robot.rollout(3)

@@ -14,10 +14,12 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 
+from tests.helpers.attended import AttendedPendulum, Operator
 from torch_pmil import PMIL
 from torch_pmil.control.tensor_file import load_tensors
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.envs.operator import RunStopped
 from torch_pmil.files import FileError
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs import sampled as of_sampled, training
@@ -183,3 +185,19 @@ def test_run_that_begins_with_anothers_experience_is_repeated_until_its_first_ch
         clear_folder(tmp_path)
     clear_folder(tmp_path, borrowed=True)
     assert not (tmp_path / MOTION).exists()
+
+
+def test_first_motion_that_is_discarded_is_made_anew(tmp_path: Path) -> None:
+    """Also if the run is stopped at once; nothing of the discarded motion is left."""
+    operator = Operator(("", "", "d", "q"))  # the motion, once more since it ran away, and a trial
+    learner = PMIL(AttendedPendulum(operator), shown(), 0.1, **said())
+    with pytest.raises(RunStopped):
+        learner.learn(1, seed=100, out=tmp_path)
+    assert not (tmp_path / MOTION).exists() and not (tmp_path / SAMPLING).exists()
+    learner.learn(1, seed=100, out=tmp_path, resume=True)
+    motion = load_tensors(tmp_path / MOTION)["states"]
+    assert operator.asked == 4 + 3
+    assert learner.result.summary["experience_s"] == pytest.approx(2 * 5.0)
+    again = PMIL(AttendedPendulum(Operator(("", "", "d"))), shown(), 0.1, **said())
+    again.learn(1, seed=100, out=tmp_path / "again")
+    assert len(load_tensors(tmp_path / "again" / MOTION)["states"]) == len(motion)

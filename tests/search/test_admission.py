@@ -14,8 +14,10 @@ from torch_pmil.control.module_policy import ModulePolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.model.sampled_rollouts import SampledPrediction
 from torch_pmil.search.admission import admit
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.search.sampled_cost import ExpectedSampledCost
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.search.trial_search import TrialSearch
 
@@ -125,3 +127,17 @@ def test_steps_that_cannot_be_predicted_leave(
     monkeypatch.setattr(loss, "predict_states", failing)
     admission = admit(loss, INITIAL, box(-50.0), SETTINGS, result)
     assert (admission.steps, admission.leaving_probability) == (2, 1.0)
+
+
+def test_policy_of_a_cost_function_is_refused_and_not_searched_on(searched: Searched) -> None:
+    """A penalty needs moments; what is left is a motion up to where the box may be left."""
+    kl, result = searched
+    parts = kl.actor_network, kl.dynamics, kl.space
+
+    def cost(states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        return states[..., 0] ** 2 + 0 * actions[..., 0]
+
+    loss = ExpectedSampledCost(*parts, cost, HORIZON, prediction=SampledPrediction(50))
+    admission = admit(loss, INITIAL, box(0.5), SETTINGS, result)
+    assert admission.refused == 1 and admission.result is result
+    assert 0 < admission.steps < HORIZON

@@ -132,6 +132,10 @@ def test_numbers_of_numpy_are_those_of_python() -> None:
             {"success": lambda states: states[:, -1, 0] > 1, "tolerance": 0.1},
             "tolerance must be left out beside success, which alone says what a success is",
         ),
+        (
+            {"success": lambda states: states[:, -1, 0] > 1, "predicted_error": torch.sum},
+            "predicted_error must be left out beside success, which alone says what a",
+        ),
         ({"success": lambda states: states[:, -1, 0].abs()}, "(3,), whether each motion succeeds"),
         ({"success": lambda states: states[..., 0] < 1}, "(3,), whether each motion succeeds, got"),
         ({"success": lambda states: True}, "whether each motion succeeds, got bool"),

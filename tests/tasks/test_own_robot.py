@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,15 @@ from torch_pmil import (
     Gaussian,
     LinearPolicy,
     MatchSpace,
+    SaturatingCost,
     Task,
 )
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.rollouts import of_states, rollout_of, states_of
+from torch_pmil.tasks.method import PolicySettings
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_starts import STARTS, start_of
 from torch_pmil.tasks.site_match import site_match
@@ -134,6 +138,10 @@ def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -
     start = at_rest(0.0)
     assert task(initial=start).initial is start
     assert len(resets) < 5  # one, and those of checks of the environment
+
+
+TWO_ACTIONS = ActionSpace(("a", "b"), ("", ""), -torch.ones(2).double(), torch.ones(2).double())
+SERVO = ActionSpace(("q",), ("deg",), -torch.ones(1).double(), torch.ones(1).double())
 
 
 class Physical(RobotEnv):
@@ -297,6 +305,23 @@ def test_times_that_are_not_seconds_are_refused_unless_the_column_says_so(tmp_pa
             ValueError,
             "a physical robot must show its angles",
         ),
+        ({"robot": Physical(), "evaluated": True}, ValueError, "evaluated must be False for a ph"),
+        (
+            {"actions": TWO_ACTIONS},
+            ValueError,
+            "as many as the robot's, 0 from -4 to 2, got a from",
+        ),
+        ({"units": ("rad",)}, ValueError, "units must be one for each of q, dq, got rad"),
+        ({"noise_std": "small"}, ValueError, "noise_std must be a number or .* got 'small'"),
+        ({"noise_std": True}, ValueError, "noise_std must be a number or .* got True"),
+        ({"method": PolicySettings()}, TypeError, "method must be of type Method, got PolicyS"),
+        (
+            {"cost": lambda states: states},
+            ValueError,
+            "cost must be a function of states .* and ac",
+        ),
+        ({"cost": SaturatingCost}, TypeError, "cost must be a SaturatingCost, a Quad"),
+        ({"state": ("sin q", "dq")}, ValueError, "state must name cos q too, got sin q, dq"),
     ],
 )
 def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -> None:
@@ -377,6 +402,11 @@ def test_site_of_a_robot_is_what_is_compared(names: tuple[str, ...]) -> None:
     assert (task.demonstrated_states[:21, :2] - turned[:, :2]).abs().max() < 0.01
 
 
+def test_names_of_the_robot_of_a_file_are_not_changed() -> None:
+    with pytest.raises(ValueError, match="q1, q2, dq1, dq2, so leave it out, got q2, q1, dq2, dq1"):
+        own_robot(robot_of_a_file(), reaches(("q1", "q2")), 0.1, state=("q2", "q1", "dq2", "dq1"))
+
+
 def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
     with pytest.raises(ValueError, match=r"control_period must be that of the robot, 0\.1 s"):
         own_robot(robot_of_a_file(), reaches(("q1", "q2")), 0.05)
@@ -412,3 +442,36 @@ def test_unbatched_robot_remembers(kind: str, past: dict, names: tuple[str, ...]
     }
     torch.testing.assert_close(states_of(rollouts), torch.cat(expected[kind], -1))
     torch.testing.assert_close(made.error(rollouts), plain.error(rollout_of(readings)))
+
+
+def test_action_in_degrees_is_no_target_of_an_angle() -> None:
+    """An angle that is declared is in rad; an action of its name holds the robot if that is too."""
+    in_radians = replace(SERVO, units=("rad",))
+    assert task(angles=("q",), actions=SERVO).holding_actions is None
+    held = task(angles=("q",), actions=in_radians).holding_actions
+    assert held(torch.tensor([[0.3, 1.0]])).tolist() == [[pytest.approx(0.3)]]
+
+
+def test_recordings_of_cosine_and_sine_show_the_angle() -> None:
+    """As the environment's own observation does."""
+    shown = reaches()
+    q = shown.positions[..., 0] + math.pi
+    positions = torch.stack([q.cos(), q.sin(), torch.gradient(q, spacing=0.1, dim=1)[0]], -1)
+    names = ("cos q", "sin q", "dq")
+    made = task(Arm(circle=True), demonstrations=Demonstrations(positions, 0.1, names), state=names)
+    assert made.demonstrations.names == ("q", "dq")
+    assert torch.allclose(made.demonstrations.positions[..., 0], q)
+
+
+def test_column_that_is_not_used_in_place_of_a_velocity_is_named(tmp_path: Path) -> None:
+    rows = [f"{number},{t},{x},{v}" for number in range(3) for t, x, v in _reach(number)]
+    path = tmp_path / "shown.csv"
+    path.write_text("\n".join(["demonstration,time,q,qd", *rows]))
+    with pytest.warns(UserWarning, match="^qd of the recordings is not used, and dq follows"):
+        made = task(demonstrations=path)
+    assert made.demonstrations.names == ("q",)
+
+
+def _reach(number: int) -> list[tuple[float, float, float]]:
+    shown = reaches().positions[number, :, 0].tolist()
+    return [(0.1 * step, value, 0.0) for step, value in enumerate(shown)]

@@ -17,6 +17,7 @@ from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.rehearsal import rehearse
+from torch_pmil.tasks.unit_checks import check_units
 
 gymnasium = pytest.importorskip("gymnasium")
 SHORT = SearchSettings(1, 1, 1, first_horizon=1.0, trust_threshold=1e9)  # one search a trial
@@ -196,3 +197,16 @@ def test_right_units_are_not_doubted(robot: Any, shown: Demonstrations) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rehearse(task(robot(), shown))
+
+
+@pytest.mark.parametrize(("turns", "refused"), [(2.0, False), (3.9, False), (4.1, True)])
+def test_angle_of_known_unit_may_turn_round_a_few_times(turns: float, refused: bool) -> None:
+    """A robot whose limits are one turn continues it, and rad and degrees look alike so far."""
+    shown = turns * 2 * math.pi * torch.linspace(0, 1, 21).double().expand(3, 21)[..., None]
+    args = Demonstrations(shown, 0.1, ("q",)), {"q": "rad"}, {}, {"q": (-math.pi, math.pi)}
+    if refused:
+        with pytest.raises(DemonstrationError, match=r"^q looks like degrees, or is out of reach"):
+            check_units(*args)
+    else:
+        with pytest.warns(UserWarning, match=r"^q looks like degrees, or turns round"):
+            check_units(*args)

@@ -119,9 +119,20 @@ def jumps_by_turns(
             at = shown.time_step * sample
         yield (
             f"{name} of demonstration {_label(shown, number)} jumps by a turn ({turn:.4g}) at "
-            f"{at:.4g} s: if it is an angle, declare it, by angles=({name!r},) or "
+            f"{at:.4g} s: if it is an angle, {declared_by(name, turn)} or "
             f"pmil align --angles {name}"
         )
+
+
+def declared_by(name: str, turn: float) -> str:
+    """How an angle of such a turn is declared; what a robot is given must be in rad.
+
+    Example:
+        >>> declared_by("q", 360.0)
+        "convert it to rad and declare it, by angles=('q',)"
+    """
+    convert = "convert it to rad and " if turn == TURNS[1] else ""
+    return f"{convert}declare it, by angles=({name!r},)"
 
 
 def values_of(shown: Recordings | Demonstrations) -> list[Tensor]:

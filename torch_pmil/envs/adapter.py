@@ -18,6 +18,7 @@ from torch_pmil.envs.robot import RobotEnv, check_num_envs
 from torch_pmil.envs.turning import Continued, within_half_a_turn
 from torch_pmil.seeds import draw_seed
 
+ENDS = ("terminated", "truncated")  # of an episode
 MEND = {"observation": "; gymnasium.wrappers.FlattenObservation makes one vector"}
 CIRCLE = 2.0  # radius, or its inverse, beyond which noise explains no cosine and sine
 
@@ -35,6 +36,10 @@ class CosSin:
     cos: int
     sin: int
     near: float = 0.0
+
+
+class EpisodeEndedError(RuntimeError):
+    """An environment refused an action after the end of its episode."""
 
 
 class AdaptedEnv(RobotEnv):
@@ -149,15 +154,29 @@ class AdaptedEnv(RobotEnv):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         action = action.clamp(self._low, self._high)
         dtype = self.base_env.full_action_spec[self._action].dtype
-        self._last = step_mdp(self.base_env.step(self._last.set(self._action, action.to(dtype))))
+        self._last = self._next(self._last.set(self._action, action.to(dtype)))
         self.terminated = bool(self._last["terminated"].any())
         return self._without_reward(self._measure())
+
+    def _next(self, commanded: TensorDictBase) -> TensorDictBase:
+        """What follows an action, after the end of an episode too."""
+        ended = [name for name in ENDS if commanded.get(name, torch.zeros(1)).any()]
+        try:
+            return step_mdp(self.base_env.step(commanded))
+        except Exception as problem:  # of any kind: the environment is a user's
+            if not ended:
+                raise
+            raise EpisodeEndedError(
+                f"env must take actions to the end of a motion, but it was {ended[0]} and then "
+                f"raised {problem!r:.120}: let it go on, or remove what ends its episodes"
+            ) from problem
 
     def _measure(self) -> TensorDictBase:
         shown = self._last[self._observation].double()
         if not shown.isfinite().all():
             raise RuntimeError(
-                f"the environment's observation must be finite, got {shown.tolist()}"
+                f"the environment's observation must be finite, got {shown.tolist()}: "
+                "return the last reading where the simulation fails, or limit the actions"
             )
         measured = {"observation": self._state(self._continued(shown))}
         if self.from_pixels:

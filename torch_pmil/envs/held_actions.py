@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary
 
 from torch_pmil.checks import check_whole
+from torch_pmil.envs.guards import set_guards
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.wrapped_robot import WrappedRobotEnv
 
@@ -45,7 +46,7 @@ class HeldActionsEnv(WrappedRobotEnv):
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = TensorDict({}, self.batch_size) if tensordict is None else tensordict.copy()
-        self.robot.guard = self.guard
+        set_guards(self.robot, self.guard)
         shown = self.robot.reset(given)
         self.cut_short = ""
         return self._shown(shown, measured=True)

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torch_pmil.checks import is_whole_number
+from torch_pmil.envs.guards import set_guards
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.wrapped_robot import WrappedRobotEnv
 
@@ -215,7 +216,7 @@ class HistoryEnv(WrappedRobotEnv):
         if start is not None:
             given["observation"] = self._of_robot(start)
         seen = self.guard is not None and not self.history.hidden
-        self.robot.guard = self._guard_reading if seen else None  # between held actions too
+        set_guards(self.robot, self._guard_reading if seen else None)  # between held actions too
         shown = self.robot.reset(given)
         self.cut_short = ""
         reading = shown["observation"]
@@ -230,7 +231,7 @@ class HistoryEnv(WrappedRobotEnv):
         self._state = self.history.advanced(self._state, taken, reading)
         self.cut_short = self.robot.cut_short
         result = self._with_history(shown)
-        if self.cut_short or self.guard is None or self.robot.guard is not None:
+        if self.cut_short or self.guard is None or not self.history.hidden:
             result["reward"], result["done"] = shown["reward"], shown["done"]
             return result
         return self._without_reward(result)

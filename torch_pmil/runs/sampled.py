@@ -71,6 +71,12 @@ def sampled(
     return chosen, motion.as_rollout(chosen)
 
 
+def discard_motion(out: Path) -> None:
+    """Remove the first motion of the run in a folder, and what it decided."""
+    for name in (MOTION, SAMPLING):
+        (out / name).unlink(missing_ok=True)
+
+
 def in_words(task: Task, choice: Choice) -> str:
     """What was chosen, and why.
 

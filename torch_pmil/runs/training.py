@@ -38,7 +38,7 @@ from torch_pmil.runs.run_folder import (
     write_settings,
 )
 from torch_pmil.runs.same_robot import motion_of, moves_alike
-from torch_pmil.runs.sampled import sampled
+from torch_pmil.runs.sampled import discard_motion, sampled
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.rehearsal import rehearse
@@ -140,6 +140,8 @@ def train(
     out = Path(out)
     seed = check_whole("seed", seed, *SEEDS)
     trials = check_whole("trials", trials, 1, MOST_TRIALS)
+    if not isinstance(resume, bool | str | Path):
+        raise TypeError(f"resume must be a bool or the folder of a run, got {resume!r:.80}")
     check_resume(resume is True, overwrite)
     check_logger(logger)
     rehearse(resampled(task, task.samplings[0]) if task.samplings else task)
@@ -151,32 +153,70 @@ def train(
         write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
         on_trial(trial)
 
+    def begun(known: bool) -> _Beginning:
+        beginning = _beginning(task, seed, out, known, another, announce)
+        named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
+        _write_origin(out, named | beginning.task.adjustable, source)
+        return beginning
+
+    source = provenance(command)
     with alone_in(out), torchrl_warnings_alone():
         _clear(out, resume, overwrite)
-        task, first = sampled(task, seed, out, resume is True, another, announce)
-        identity = _identity(task, seed)
-        rotation = _rotation(out, identity)
-        before = None if another is None else _of_another(another, out, identity)
-        saved = _same_run(rotation, identity) if resume is True else None
-        (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
-        source = provenance(command)
-        named = {"experiment": task.name, "seed": seed, "trials": trials, **(settings or {})}
-        _write_origin(out, named | task.adjustable, source)
+        run = begun(resume is True)
+        saved = run.saved
         opened = None if logger is None else open_logger(logger, out, task.name, seed)
         if available():
             kernels()  # compiled before the progress bar stands
-        ended = False
-        while not ended:
+        while True:
             trainer = make_trainer(
-                task, seed, trials, progress_bar, record, opened, rotation, announce
+                run.task, seed, trials, progress_bar, record, opened, run.rotation, announce
             )
-            _begin(trainer, saved, before, first)
+            _begin(trainer, saved, run.before, run.first)
             rewind_logs(opened, trainer.collected_frames)
             write_metrics(own(out, "metrics.csv"), Trial, trainer.trials)
-            ended = _ended(trainer)
-            if not ended:
-                saved = discard_newest(rotation)
-        return _finish(trainer, task, out, {"seed": seed, **source}, trials)
+            if _ended(trainer):
+                return _finish(trainer, run.task, out, {"seed": seed, **source}, trials)
+            saved = discard_newest(run.rotation)
+            if saved is None and run.first is not None:
+                discard_motion(out)
+                run = begun(False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beginning:
+    """What a run begins with.
+
+    Args:
+        task: as the run samples it.
+        first: the motion that decided how, if there was one.
+        rotation: of the run's checkpoints.
+        before: the run whose experience it begins with, if any.
+        saved: the newest checkpoint of a run that continues.
+    """
+
+    task: Task
+    first: TensorDictBase | None
+    rotation: RunRotation
+    before: SavedRun | None
+    saved: SavedRun | None
+
+
+def _beginning(
+    task: Task,
+    seed: int,
+    out: Path,
+    known: bool,
+    another: Path | None,
+    announce: Callable[[str], None],
+) -> _Beginning:
+    """Begin a run, or continue one that is ``known``; from now on it is unfinished."""
+    task, first = sampled(task, seed, out, known, another, announce)
+    identity = _identity(task, seed)
+    rotation = _rotation(out, identity)
+    before = None if another is None else _of_another(another, out, identity)
+    saved = _same_run(rotation, identity) if known else None
+    (out / "summary.json").unlink(missing_ok=True)
+    return _Beginning(task, first, rotation, before, saved)
 
 
 def _rotation(out: Path, identity: dict[str, object]) -> RunRotation:

@@ -8,7 +8,6 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from torch_pmil.control.module_policy import ModulePolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MakeOptimizer, NotFiniteError
@@ -74,7 +73,7 @@ def admit(
         if leaving.sum() <= box.threshold:
             break
         refused += 1
-        if isinstance(loss.actor_network, ModulePolicy):  # whose moments no search can lower
+        if not loss.has_moments:  # which the penalty is a function of
             break
         try:
             with loss.penalised(partial(box.penalty, weight=weight)):

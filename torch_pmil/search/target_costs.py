@@ -143,7 +143,7 @@ class FunctionCost:
     function: CostFunction
 
     def __post_init__(self) -> None:
-        if not callable(self.function):
+        if not callable(self.function) or isinstance(self.function, type):
             raise TypeError(
                 "cost must be a SaturatingCost, a QuadraticCost or a function of states and "
                 f"actions, got {short(self.function)}"

@@ -98,6 +98,7 @@ class TrialSearch:
         ``succeeded`` says whether the last rollout was a success; None before the first.
         """
         settings, report, optimizer = self.settings, self.report, self.optimizer
+        self.refitted = False
         search = partial(
             search_policy, loss, initial, settings=settings, report=report, optimizer=optimizer
         )

@@ -90,7 +90,7 @@ def _far_turned(
 def _in_degrees(name: str, what: str, turn: float) -> str:
     return (
         f"{name} looks like degrees: {what}, where a turn is {turn:.4g}; angles must be in rad, so "
-        "convert it, or give its unit by units= if it turns so far"
+        "convert it, or give its unit, rad, by units= if it turns so far"
     )
 
 

@@ -1,4 +1,4 @@
-"""Whether a user's own error or success judges motions, tried before the robot moves."""
+"""Whether a user's own error, success or cost judges motions, tried before the robot moves."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 from torch import Tensor
 
 from torch_pmil.envs.rollouts import OfStates, check_results, fault_of_results, rollout_of
+from torch_pmil.search.sampled_cost import CostFunction
+from torch_pmil.search.target_costs import FunctionCost
 from torch_pmil.tasks.task import Task
 
 MOTIONS = 3
@@ -20,14 +22,29 @@ def check_error(task: Task) -> None:
 
     Raises:
         TypeError: the error is one of states, where it must be one of rollouts.
-        ValueError: it fails for such states, or does not return a real number for each motion.
+        ValueError: it fails for such states, or does not return a real number for each motion; or a
+            cost that is a function fails.
     """
     still = task.initial.mean.repeat(MOTIONS, task.horizon + 1, 1)
+    cost = getattr(task, "cost", None)
+    if isinstance(cost, FunctionCost):
+        _check_cost(cost.function, still, task.actions.middle)
     for states in (still, still[0]):
         if task.promised is not None:
             _check_of_states(task.promised.error, states)
         if not isinstance(task.error, OfStates):
             _check_of_rollouts(task, states)
+
+
+def _check_cost(cost: CostFunction, states: Tensor, action: Tensor) -> None:
+    actions = action.expand(*states[:, 1:].shape[:-1], -1)
+    try:
+        cost(states[:, 1:], actions)
+    except Exception as problem:  # of any kind: the function is a user's
+        raise ValueError(
+            "cost must be a function of states (*batch, T, D) and actions (*batch, T, F), got "
+            f"{problem!r:.120}"
+        ) from problem
 
 
 def _check_of_states(error: Callable[[Tensor], Tensor], states: Tensor) -> None:

@@ -39,7 +39,7 @@ class FallGuard:
     environment may also terminate at the goal. Demonstrations show that, so the motion goes on.
 
     Args:
-        env: the robot, whose ``guard`` this is.
+        env: the robot.
         space: its state space.
         shown: the demonstrations (N, T + 1, M).
         noise_std: of what is compared with them.

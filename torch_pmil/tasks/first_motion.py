@@ -80,7 +80,7 @@ def explore(task: Task, seed: int, share: float = 1.0) -> FirstMotion:
     held = replace(random, fraction=share * random.fraction, hold=_longest(task))
     motion, env = held.motion(generator_of(Stream.MOTION, seed)), task.robot(seed)
     if task.state_box is not None:
-        motion, env.guard = CautiousMotion(motion, task.state_box), task.state_box.guard
+        motion = CautiousMotion(motion, task.state_box)
     motion.begin()
     policy = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
     rollout = as_executed(env.rollout(held.steps, policy))

@@ -19,13 +19,14 @@ from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
 from torch_pmil.tasks.error_checks import check_error
-from torch_pmil.tasks.fitting import actions_of
 from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.own_robot import (
+    chosen_actions,
     entries_of,
     observed_entries,
     parted,
     robot_of,
+    set_evaluated,
     without_none,
 )
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
@@ -34,6 +35,7 @@ from torch_pmil.tasks.site_match import site_match
 
 WITHIN = 1.0  # widths, of the distance from the target that is a success
 HALF = 0.5  # of an error that is 0 or 1
+OF_SUCCESS = {"error", "tolerance", "predicted_error"}  # fields that say what a success is
 
 
 def own_cost(
@@ -91,7 +93,7 @@ def own_cost(
         raise TypeError(
             "success must say which motions are successes, since a function is the cost"
         )
-    if success is not None and (besides := sorted({"error", "tolerance"} & settings.keys())):
+    if success is not None and (besides := sorted(OF_SUCCESS & settings.keys())):
         raise ValueError(
             f"{' and '.join(besides)} must be left out beside success, which alone says what a "
             "success is"
@@ -113,7 +115,7 @@ def own_cost(
         match = of_target(target, names, known, indices)
     space = StateSpace(names, known, indices, match)
     robot = robot_of(env, control_period, state, steps_per_action, len(names))
-    settings.setdefault("evaluated", not robot.physical)
+    set_evaluated(robot, settings)
     starts = starts_of(robot, state, space, settings)
     if "initial" not in settings:
         if starts is None:
@@ -144,7 +146,7 @@ def _task(
         error = cost.at_end(space)
     defaults: dict[str, Any] = {
         "name": robot.name,
-        "actions": actions_of(robot()),
+        "actions": chosen_actions(given, robot()),
         "error": of_states(error),
         "tolerance": WITHIN if success is None else HALF,
         "draws": robot.draws,

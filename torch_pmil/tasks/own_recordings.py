@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -20,6 +21,7 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.errors import UnknownEntryError
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
+from torch_pmil.demonstrations.turns import values_of
 
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
 LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
@@ -65,10 +67,52 @@ def _from_file(path: str | os.PathLike[str], wanted: Sequence[str]) -> Recording
         unread = error
     with suppress(UnknownEntryError):
         places = [name for entry, name in enumerate(wanted) if entry not in rates]
-        return load_recordings(path, keys=places)
+        recorded = load_recordings(path, keys=places)
+        if unread is None:
+            _name_unused(every.names, wanted, places)
+        return recorded
     if unread is not None:
         raise unread
     return every
+
+
+def _name_unused(names: Sequence[str], wanted: Sequence[str], used: Sequence[str]) -> None:
+    """Warn of recorded entries that are not used where velocities are wanted and have no name."""
+    unused = [name for name in names if name not in used]
+    missing = [name for name in wanted if name not in used]
+    warnings.warn(
+        f"{', '.join(unused)} of the recordings is not used, and {', '.join(missing)} follows from "
+        f"the changes of {', '.join(used)}: rename the column if it is {missing[0]}",
+        UserWarning,
+        stacklevel=5,
+    )
+
+
+def with_angles(recorded: Demonstrations | Recordings) -> Demonstrations | Recordings:
+    """Recordings in which each cosine and sine of an angle, "cos q" and "sin q", become "q", rad.
+
+    Example:
+        >>> shown = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).double().expand(2, 2, 2)
+        >>> angle = with_angles(Demonstrations(shown, 0.1, ("cos q", "sin q")))
+        >>> angle.names, angle.positions[0, :, 0]
+        (('q',), tensor([0.0000, 1.5708], dtype=torch.float64))
+    """
+    names = list(recorded.names)
+    angles = [name[4:] for name in names if name[:4] == "cos " and f"sin {name[4:]}" in names]
+    if not angles:
+        return recorded
+    kept = [name for name in names if name not in {f"sin {angle}" for angle in angles}]
+    shown = tuple(name[4:] if name[4:] in angles else name for name in kept)
+    values = []
+    for each in values_of(recorded):
+        columns = dict(zip(names, each.mT, strict=True))
+        columns |= {
+            f"cos {q}": torch.atan2(columns[f"sin {q}"], columns[f"cos {q}"]) for q in angles
+        }
+        values.append(torch.stack([columns[name] for name in kept], -1))
+    if isinstance(recorded, Demonstrations):
+        return replace(recorded, names=shown, positions=torch.stack(values))
+    return replace(recorded, names=shown, values=tuple(values), units=())
 
 
 def at_control_rate(

@@ -9,12 +9,14 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_noise
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.module_policy import MakePolicy
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 from torch_pmil.demonstrations.distribution import expert_distribution
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, check_period
@@ -30,7 +32,7 @@ from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.own_parts import with_own
-from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read
+from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read, with_angles
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_samplings import samplings_of
 from torch_pmil.tasks.own_starts import Robot, start_of, starts_of
@@ -161,20 +163,22 @@ def own_robot(
     state, units, angles = entries_of(env, state, units, angles, settings)
     of_match = match.names if isinstance(match, MatchSpace) else () if match else state
     recorded = read(demonstrations, tuple(of_match), control_period)
+    observed = tuple(state) or recorded.names
+    if match is None:
+        recorded = with_angles(recorded)
     if isinstance(match, str):
         match = site_match(env, match, orientation=len(recorded.names) > PLACE)
-    observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot = robot_of(env, control_period, observed, steps_per_action, len(space.names))
-    settings.setdefault("evaluated", not robot.physical)
+    set_evaluated(robot, settings)
     starts = starts_of(robot, observed, space, settings)
     shown, states = _demonstrated(recorded, robot, observed, space, starts, settings)
     task = _task(robot, space, shown, states, starts, settings)
-    check_error(task)
     task = with_own(task, optimizer, policy, model)
     if cost is not None:
         weight = {} if imitation_weight is None else {"imitation_weight": imitation_weight}
         task = improving(task, cost, **weight)
+    check_error(task)
     given = Sampling(1, past_entries, past_actions, positions_only)
     samplings = samplings_of(task, given, step, past)
     if len(samplings) > 1:
@@ -221,7 +225,7 @@ def _task(
     given, chosen = parted(settings, Task)
     if "noise_std" not in given:
         given["noise_std"] = noise(shown, space.match_space.units)
-    given["noise_std"] = torch.as_tensor(given["noise_std"], dtype=torch.float64)
+    given["noise_std"] = check_noise(given["noise_std"], space.match_space.names)
     if "initial" not in given:
         given["initial"] = start_of(starts, states, space.names)
     allowed = given.get("tolerance")
@@ -229,7 +233,8 @@ def _task(
         given["tolerance"] = 1.0  # of the largest share of what is allowed
     else:
         allowed = None
-    marginals, actions = expert_distribution(shown, given["noise_std"]), actions_of(robot())
+    marginals = expert_distribution(shown, given["noise_std"])
+    actions = chosen_actions(given, robot())
     held = robot.held if isinstance(robot, MujocoRobot) else _held(actions, space)
     demonstrated = states.flatten(0, 1)
     defaults: dict[str, Any] = {
@@ -273,8 +278,32 @@ def entries_of(
     """Names, units and angles of the observation; a MujocoRobot knows them, and its start."""
     if not isinstance(env, MujocoRobot):
         return state, units, angles
+    if state and tuple(state) != env.names:
+        raise ValueError(
+            f"state must be that of the MujocoRobot, {', '.join(env.names)}, so leave it out, got "
+            f"{', '.join(state)}"
+        )
     settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))
     return state or env.names, units or env.units, angles or env.turning
+
+
+def set_evaluated(robot: Robot, settings: dict[str, Any]) -> None:
+    """Measure policies from fresh starts, unless a person would have to put the robot there.
+
+    Raises ValueError if that is asked for.
+    """
+    if robot.physical and settings.get("evaluated"):
+        raise ValueError("evaluated must be False for a physical robot, got True")
+    settings.setdefault("evaluated", not robot.physical)
+
+
+def chosen_actions(settings: Mapping[str, Any], env: MujocoRobotEnv | AdaptedEnv) -> ActionSpace:
+    """The actions that are given, or else those of the robot; ValueError if it has others."""
+    own = actions_of(env)
+    actions: ActionSpace = settings.get("actions", own)
+    if len(actions.names) != len(own.names):
+        raise ValueError(f"actions must be as many as the robot's, {own}, got {actions}")
+    return actions
 
 
 def parted(settings: Mapping[str, Any], kind: type[Task]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -332,15 +361,20 @@ def observed_entries(
     """Names of the state's entries, a cosine and sine counted as one, and indices of the angles.
 
     Raises:
-        ValueError: an angle is unknown, or its unit is degrees.
+        ValueError: an angle is unknown, its unit is degrees, or its cosine or sine is missing; or
+            there is another number of units.
     """
+    turned = {*angles, *(observed[pair.cos][4:] for pair in _pairs(observed))}
     names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
-    turned = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
     if unknown := sorted(turned - set(names)):
         raise ValueError(
             f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
         )
-    for name, unit in zip(names, units, strict=False):  # their number is checked with the space
+    if len(units) not in (0, len(names)):
+        raise ValueError(
+            f"units must be one for each of {', '.join(names)}, got {', '.join(units)}"
+        )
+    for name, unit in zip(names, units, strict=False):  # there may be none
         if name in turned and unit in DEGREES:
             raise ValueError(
                 f"angles must be in rad, got {name} in {unit}: convert the observation"
@@ -351,11 +385,11 @@ def observed_entries(
 def _pairs(observed: Sequence[str]) -> list[CosSin]:
     """The angles whose cosine and sine an observation holds."""
     names = list(observed)
-    cosines = [index for index, name in enumerate(names) if name[:4] == "cos "]
-    sines = [f"sin {names[index][4:]}" for index in cosines]
-    if missing := [name for name in sines if name not in names]:
+    angles = dict.fromkeys(name[4:] for name in names if name[:4] in ("cos ", "sin "))
+    pairs = [(f"cos {angle}", f"sin {angle}") for angle in angles]
+    if missing := [name for pair in pairs for name in pair if name not in names]:
         raise ValueError(f"state must name {missing[0]} too, got {', '.join(names)}")
-    return [CosSin(cos, names.index(sin)) for cos, sin in zip(cosines, sines, strict=True)]
+    return [CosSin(names.index(cos), names.index(sin)) for cos, sin in pairs]
 
 
 def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor] | None:
@@ -364,6 +398,7 @@ def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor]
         return None
     entries = [state.names.index(name) for name in actions.names]
     for unit, entry in zip(actions.units, entries, strict=True):
-        if unit and unit not in ((state.units[entry],) if state.units[entry] else TARGET_UNITS):
+        known = state.units[entry] or ("rad" if entry in state.angles else "")
+        if unit and unit not in ((known,) if known else TARGET_UNITS):
             return None
     return lambda states: states[..., entries]

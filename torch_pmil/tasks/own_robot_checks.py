@@ -17,7 +17,6 @@ from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.files import short
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.settings import Settings
 from torch_pmil.tasks.method import Method
 from torch_pmil.tasks.task import Task
 
@@ -27,7 +26,7 @@ OF_TEACHERS = {"noise_std", "demonstrated_states"}  # what a task with a cost ha
 KINDS: dict[str, type] = {
     "initial": Gaussian,
     "actions": ActionSpace,
-    "method": Settings,
+    "method": Method,
     "box": Mapping,
     "demonstrated_states": Tensor,
     "held_states": Tensor,
@@ -61,12 +60,12 @@ def check_said(
         raise TypeError(
             f"match must be a MatchSpace or the name of a site, got {type(match).__name__}"
         )
-    _check_known(function, kind, settings)
-    _check_tolerance(settings)
     for name, wanted in KINDS.items():
         if settings.get(name) is not None and not isinstance(settings[name], wanted):
             got = type(settings[name]).__name__
             raise TypeError(f"{name} must be of type {wanted.__name__}, got {got}")
+    _check_known(function, kind, settings)
+    _check_tolerance(settings)
 
 
 def seconds(value: object) -> float:
@@ -105,8 +104,7 @@ def _check_known(
     function: Callable[..., Any], kind: type[Task], settings: Mapping[str, object]
 ) -> None:
     """Raise ValueError unless all names are fields of a task or settings of its method."""
-    method = settings.get("method")
-    chosen = method if isinstance(method, Settings) else Method()
+    chosen: Any = settings.get("method") or Method()
     own = [name for name in inspect.signature(function).parameters if name != "settings"]
     fixed = FIXED if kind is Task else FIXED | OF_TEACHERS
     of_task = {entry.name for entry in fields(kind)} - fixed - set(own)

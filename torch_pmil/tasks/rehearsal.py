@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.envs.adapter import EpisodeEndedError
 from torch_pmil.envs.layers import counted, unrepeatable_layer, wrappers_of
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, length_of_step
@@ -204,13 +205,14 @@ def _slow_actions(task: Task) -> Tensor:
 def _tried(task: Task, actions: Tensor, begun: Callable[[], None] = lambda: None) -> Tensor:
     """States (T + 1, D) from a reset by always the same seed, until they leave the box."""
     env = task.robot(Stream.REHEARSAL)
-    if task.state_box is not None:
-        env.guard = task.state_box.guard
     step = env.reset()
     begun()
     states = [step["observation"]]
     for action in actions:
-        step = env.step(step.set("action", action))["next"]
+        try:
+            step = env.step(step.set("action", action))["next"]
+        except EpisodeEndedError:  # seldom so early under a policy
+            break
         states.append(step["observation"])
         if env.cut_short:
             break

@@ -22,6 +22,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
+from torch_pmil.envs.guards import set_guards
 from torch_pmil.envs.history import History
 from torch_pmil.envs.rollouts import OfStates, as_executed
 from torch_pmil.gp.gaussian import Gaussian
@@ -245,10 +246,9 @@ class Task(Settings):
         measured = None
         if self.evaluated:
             measured = self.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)
-        env = self.robot(seed)
-        if env.guard is None and self.demonstrations is not None:
-            shown = self.demonstrations.positions
-            env.guard = FallGuard(env, self.space, shown, self.noise_std)
+        env, fall = self.robot(seed), None
+        if self.demonstrations is not None:
+            fall = FallGuard(env, self.space, self.demonstrations.positions, self.noise_std)
         return Problem(
             env=env,
             loss=self.make_loss(policy, self.make_dynamics()),
@@ -259,11 +259,14 @@ class Task(Settings):
             exploration=self.exploration,
             measured=measured,
             box=self.state_box,
+            fall=fall,
         )
 
     def robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
-        """The robot that learns."""
-        return self.make_env(seed=seed)
+        """The robot that learns, whose motions end where they leave the box."""
+        env, box = self.make_env(seed=seed), self.state_box
+        set_guards(env, None if box is None else box.guard)
+        return env
 
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """Robots to measure a policy on, one for each of ``starts`` fresh starts."""
@@ -283,8 +286,6 @@ class Task(Settings):
         if self.evaluated:
             return self.error(self.robots(starts, seed).rollout(self.horizon, module))
         robot, errors = self.robot(seed), []
-        if self.state_box is not None:
-            robot.guard = self.state_box.guard
         for _ in range(starts):
             rollout = as_executed(robot.rollout(self.horizon, module))
             errors.append(own_error(rollout, robot.cut_short, self.horizon, self.error))
@@ -385,7 +386,10 @@ def check_task(task: Task) -> None:
             raise TypeError(f"{name} must be a function, got {type(function).__name__}")
     if outside := task.state_box and task.state_box.guard(task.initial.mean):
         raise ValueError(f"box must hold the mean of initial, but {outside}")
-    check_noise(task.noise_std, task.space.match_space.names, zero=task.demonstrations is None)
+    names = task.space.match_space.names
+    noise = check_noise(task.noise_std, names, zero=task.demonstrations is None)
+    if noise.ndim:  # a list of numbers becomes a tensor
+        object.__setattr__(task, "noise_std", noise)
     if task.demonstrations is not None:
         check_tensor("demonstrated_states", task.demonstrated_states, ("S", D))
     if task.held_states is not None:

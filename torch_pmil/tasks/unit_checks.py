@@ -27,6 +27,7 @@ OUTSIDE = 0.05  # of the recorded range, by which noise may exceed limits
 BEYOND = 3.0  # times the largest value that a robot allows: no person would show that
 SMALL = 50.0  # by which a motion is smaller than the limits allow, at most
 MOVED = 20.0  # times the motion of a robot that was tried: a larger motion is doubted
+FEW_TURNS = 8 * math.pi  # up to which an angle whose unit is known may be in rad
 TURNS, MOVED_ANGLE = 4 * math.pi, 5.0  # the same of what turns so far, if it may be an angle
 
 
@@ -129,11 +130,13 @@ def _check_limits(name: str, values: Tensor, limits: tuple[float, float], unit: 
         f"{limits[1]:.3g} {unit}"
     ).rstrip()
     largest, allowed = max(abs(low), abs(high)), max(map(abs, limits))
-    if 0 < BEYOND * allowed < largest:
-        what = _other_unit(largest, allowed, unit)
-        raise DemonstrationError(f"{name} {what}, or is out of reach: {where}; convert it")
     width, noise = limits[1] - limits[0], OUTSIDE * (high - low)
     one_turn = math.isclose(width, 2 * math.pi, rel_tol=ALIKE)  # of an angle that may go on
+    if 0 < BEYOND * allowed < largest:
+        what = _other_unit(largest, allowed, unit)
+        if not (one_turn and unit and largest < FEW_TURNS):
+            raise DemonstrationError(f"{name} {what}, or is out of reach: {where}; convert it")
+        warnings.warn(f"{name} {what}, or turns round: {where}", UserWarning, stacklevel=6)
     if not (one_turn or limits[0] - noise <= low <= high <= limits[1] + noise):
         warnings.warn(f"{name} is out of reach: {where}", UserWarning, stacklevel=6)
 

@@ -14,6 +14,7 @@ from torch_pmil.checks import check_positive
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.module_policy import AnyPolicy
 from torch_pmil.control.state_box import StateBox
+from torch_pmil.envs.guards import Guard
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import check_start_belief
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -38,6 +39,8 @@ class Problem:
             (:class:`~torch_pmil.control.exploration.CautiousMotion`), and a policy that is
             likely to leave them is refused, or runs for its first steps alone
             (:func:`~torch_pmil.search.admission.admit`).
+        fall: why a motion of ``env`` must end at states (*batch, D), within the box too; "" if it
+            goes on.
 
     Raises:
         TypeError: an environment is of another kind.
@@ -53,6 +56,7 @@ class Problem:
     exploration: Exploration
     measured: EnvBase | None = None
     box: StateBox | None = None
+    fall: Guard | None = None
 
     def __post_init__(self) -> None:
         tolerance = check_positive("tolerance", self.tolerance, zero=True)
@@ -62,6 +66,11 @@ class Problem:
             if not isinstance(env, EnvBase) and not (name == "measured" and env is None):
                 raise TypeError(f"{name} must be an EnvBase, got {type(env).__name__}")
         check_start_belief(self.initial, "initial", self.loss.dynamics, self.loss.space)
+
+    @property
+    def guards(self) -> tuple[Guard | None, ...]:
+        """What ends a motion of ``env``: the limits of the box, and a fall."""
+        return None if self.box is None else self.box.guard, self.fall
 
     def frames(self, trials: int) -> int:
         """Number of transitions of a run with that many trials, if no rollout is cut short."""

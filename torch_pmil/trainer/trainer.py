@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from torch_pmil.checks import check_whole
 from torch_pmil.control.exploration import CautiousMotion
+from torch_pmil.envs.guards import set_guards
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.experience import FEWEST_TRANSITIONS, Experience
 from torch_pmil.search.admission import admit
@@ -299,7 +300,7 @@ class PMILTrainer(Trainer):
         if ends and found < FEWEST_TRANSITIONS:
             raise RuntimeError(
                 f"the first motion must give {FEWEST_TRANSITIONS} transitions at least, got "
-                f"{found}: {self.collector.cut_short}"
+                f"{found}: {self.collector.cut_short or 'it was cut short'}"
             )
         if self.rotation is not None:
             self.rotation.save(self._sync_checkpoint_components(), step=self.state.rollouts)
@@ -428,5 +429,6 @@ def _actor(problem: Problem, policies: torch.Generator, motions: torch.Generator
     loss, motion = problem.loss, problem.exploration.motion(motions)
     loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())
     if problem.box is not None:
-        motion, problem.env.guard = CautiousMotion(motion, problem.box), problem.box.guard
+        motion = CautiousMotion(motion, problem.box)
+    set_guards(problem.env, *problem.guards)
     return RobotActor(loss.actor_network, loss.space, motion)

@@ -66,7 +66,7 @@ def check(task: Task) -> list[Finding]:
         *check_jumps(sets, numbers, noise_std),
         *(check_turns(demonstrations) or check_rest(demonstrations, noise_std)),
         *check_agreement(sets, numbers, noise_std),
-        *check_length(demonstrations),
+        *check_length(demonstrations, max((each.held for each in task.samplings), default=1)),
         *check_duplicates(demonstrations, noise_std),
         *check_count(sets),
     ]

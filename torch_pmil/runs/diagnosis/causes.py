@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.recovered_states import rates_of
-from torch_pmil.demonstrations.turns import wrapped_within
+from torch_pmil.demonstrations.turns import declared_by, wrapped_within
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.model.past_evidence import PastEvidence
@@ -133,8 +133,7 @@ def check_readings(
         before, after = columns[number][sample - 1 : sample + 1].tolist()
         message = (
             f"{name} of the robot jumps by a turn ({turn:.4g}) at {sample * time_step:.2f} s, from "
-            f"{before:.2f} to {after:.2f}: if it is an angle, declare it, by "
-            f"angles=({name!r},)"
+            f"{before:.2f} to {after:.2f}: if it is an angle, {declared_by(name, turn)}"
         )
         found.append(Finding(WRAPS, message))
     return found

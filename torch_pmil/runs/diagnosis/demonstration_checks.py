@@ -123,9 +123,13 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
     return [Finding(FEW, message)]
 
 
-def check_length(demonstrations: Demonstrations) -> list[Finding]:
-    """Find motions of so many steps that their model would not be fitted in a day."""
-    steps, period = demonstrations.positions.shape[1] - 1, demonstrations.time_step
+def check_length(demonstrations: Demonstrations, held: int = 1) -> list[Finding]:
+    """Find motions of so many steps that their model would not be fitted in a day.
+
+    A step may be as long as ``held`` time steps of the demonstrations.
+    """
+    period = held * demonstrations.time_step
+    steps = (demonstrations.positions.shape[1] - 1) // held
     if steps <= LONG:
         return []
     message = (
@@ -194,7 +198,8 @@ def check_spread(
         f"the robot's starts vary by {spread[entry]:.3g} in {sets[0].names[entry]}, and those of "
         f"demonstrations by {narrow[entry]:.3g}: no policy matches these from there. If readings "
         "are noisy, filter them or hold actions longer; if the robot starts so, show such starts; "
-        "or allow more (noise_std)"
+        "if robot and recordings are in different units, convert one of them; or allow more "
+        "(noise_std)"
     )
     return [Finding("starts vary more than demonstrations", message)]
 

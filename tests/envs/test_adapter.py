@@ -19,7 +19,7 @@ from torchrl.envs.utils import check_env_specs
 from tests.envs.driving import resumed, step
 from tests.helpers.draws import Draws
 from torch_pmil.envs import AdaptedEnv, CosSin
-from torch_pmil.envs.adapter import EpisodeEndedError
+from torch_pmil.envs.held_actions import HeldActionsEnv
 from torch_pmil.seeds import SEEDS
 
 CART = partial(GymEnv, "InvertedPendulum-v5", reset_noise_scale=0.1)
@@ -198,16 +198,12 @@ def test_unsuitable_environment_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_actions_and_observations_that_are_not_finite_are_refused() -> None:
-    wheel = Wheel()
-    env = adapted_wheel(lambda: wheel)
+def test_actions_that_are_not_finite_are_refused() -> None:
+    env = adapted_wheel()
     env.reset()
     for bad in (math.nan, math.inf):
         with pytest.raises(ValueError, match="action must be finite, got"):
             step(env, torch.tensor([bad], dtype=torch.float64))
-    wheel.angle = torch.tensor([math.nan])
-    with pytest.raises(RuntimeError, match="the environment's observation must be finite, got"):
-        step(env, torch.zeros(1, dtype=torch.float64))
 
 
 def test_robots_are_reset_together() -> None:
@@ -233,29 +229,68 @@ def test_pictures_come_beside_the_observation() -> None:
     assert rollout["observation"].shape == (2, 3)
 
 
-class Strict(Wheel):
-    """Refuses actions after its end, or shows no number then."""
+class Failing(Wheel):
+    """Gives no reading of its second step: it refuses the action, or shows no number.
 
-    def __init__(self, shows_nan: bool = False) -> None:
+    Args:
+        refuses: whether it refuses.
+        done: whether it reports the end of its episode in the first and the second step.
+        motion: in which it fails.
+    """
+
+    def __init__(self, refuses: bool, done: bool = True, motion: int = 1) -> None:
         super().__init__()
-        self.shows_nan = shows_nan
+        self.refuses, self.done, self.motion, self.resets, self.steps = refuses, done, motion, 0, 0
+
+    def _reset(self, tensordict: TensorDict | None) -> TensorDict:
+        self.resets, self.steps = self.resets + 1, 0
+        return super()._reset(tensordict)
 
     def _step(self, tensordict: TensorDict) -> TensorDict:
-        if self.heard and not self.shows_nan:
-            raise AssertionError("reset me")
-        step = super()._step(tensordict)
-        return step.set("seen", step["seen"] * torch.nan) if self.shows_nan else step
+        self.steps += 1
+        step = super()._step(tensordict).set("done", torch.full((1,), self.done))
+        if self.steps == 2 and self.resets == self.motion:
+            if self.refuses:
+                raise AssertionError("reset me")
+            return step.set("seen", step["seen"] * torch.nan)
+        return step
 
 
-def test_environment_that_refuses_actions_after_its_end_is_named() -> None:
-    robot = AdaptedEnv(Strict, 0.1, observation="seen", action="motor")
-    with pytest.raises(
-        EpisodeEndedError, match=r"it was terminated and then raised Asser.*reset me"
-    ):
-        robot.rollout(3)
+@pytest.mark.parametrize(
+    ("refuses", "why"),
+    [
+        (True, "the environment was terminated and takes no more actions (AssertionError('reset m"),
+        (False, "the environment ended without a reading"),
+    ],
+)
+def test_rollout_ends_where_the_environment_gives_no_reading(refuses: bool, why: str) -> None:
+    robot = adapted_wheel(partial(Failing, refuses))
+    robot.base_env.motion = robot.base_env.resets + 1
+    assert robot.rollout(3).shape == (1,) and robot.cut_short.startswith(why)
+    robot.reset()
+    assert robot.cut_short == "" and not robot.unread
 
 
-def test_reading_that_is_no_number_is_named_with_its_remedy() -> None:
-    robot = AdaptedEnv(partial(Strict, True), 0.1, observation="seen", action="motor")
-    with pytest.raises(RuntimeError, match=r"must be finite, got \[nan.*: return the last reading"):
+def test_step_of_held_actions_that_was_not_read_to_its_end_is_left_out() -> None:
+    held = HeldActionsEnv(partial(adapted_wheel, partial(Failing, True)), 2)
+    held.robot.base_env.motion = held.robot.base_env.resets + 1
+    assert held.rollout(3).shape == (0,) and "takes no more actions" in held.cut_short
+
+
+def test_rollouts_of_several_starts_stay_where_they_end() -> None:
+    robot = adapted_wheel(partial(Failing, True))
+    robot.turns, robot.base_env.motion = 2, robot.base_env.resets + 2
+    states = robot.rollout(4)["next", "observation"]
+    assert states.shape == (2, 4, 3)
+    assert (states[1] == states[1, 0]).all() and (states[0] != states[0, 0]).any()
+    robot.turns, robot.base_env.motion = 1, robot.base_env.resets + 1
+    assert robot.rollout(4).shape == (1, 4)
+
+
+@pytest.mark.parametrize("refuses", [True, False])
+def test_failure_before_the_end_is_the_users_to_mend(refuses: bool) -> None:
+    robot = adapted_wheel(partial(Failing, refuses, done=False))
+    robot.base_env.motion = robot.base_env.resets + 1
+    kind = AssertionError if refuses else RuntimeError
+    with pytest.raises(kind, match=r"reset me|finite, got \[nan.*: return the last reading"):
         robot.rollout(3)

@@ -38,10 +38,6 @@ class CosSin:
     near: float = 0.0
 
 
-class EpisodeEndedError(RuntimeError):
-    """An environment refused an action after the end of its episode."""
-
-
 class AdaptedEnv(RobotEnv):
     """A robot made of a TorchRL environment, in float64 and with seeded starts.
 
@@ -140,7 +136,7 @@ class AdaptedEnv(RobotEnv):
                 f"all robots must be reset together, got a mask with {int(mask.sum())} of "
                 f"{mask.numel()}"
             )
-        self.cut_short, self.terminated = "", False
+        self.cut_short, self.terminated, self.unread = "", False, False
         self.base_env.set_seed(draw_seed(self._generator))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
@@ -154,29 +150,35 @@ class AdaptedEnv(RobotEnv):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         action = action.clamp(self._low, self._high)
         dtype = self.base_env.full_action_spec[self._action].dtype
-        self._last = self._next(self._last.set(self._action, action.to(dtype)))
-        self.terminated = bool(self._last["terminated"].any())
-        return self._without_reward(self._measure())
+        why = self._act(self._last.set(self._action, action.to(dtype)))
+        result = self._without_reward(self._measure())
+        if why:
+            self.cut_short, self.unread = why, True
+            result["done"] = torch.ones_like(result["done"])
+        return result
 
-    def _next(self, commanded: TensorDictBase) -> TensorDictBase:
-        """What follows an action, after the end of an episode too."""
-        ended = [name for name in ENDS if commanded.get(name, torch.zeros(1)).any()]
+    def _act(self, commanded: TensorDictBase) -> str:
+        """Take an action; return why there is no reading of what followed, or ""."""
+        ends = _ends(commanded)
         try:
-            return step_mdp(self.base_env.step(commanded))
+            following = step_mdp(self.base_env.step(commanded))
         except Exception as problem:  # of any kind: the environment is a user's
-            if not ended:
+            if not ends:
                 raise
-            raise EpisodeEndedError(
-                f"env must take actions to the end of a motion, but it was {ended[0]} and then "
-                f"raised {problem!r:.120}: let it go on, or remove what ends its episodes"
-            ) from problem
+            return f"the environment was {ends[0]} and takes no more actions ({problem!r:.80})"
+        ends = _ends(following)
+        self.terminated = "terminated" in ends
+        if ends and not following[self._observation].isfinite().all():
+            return "the environment ended without a reading"
+        self._last = following
+        return ""
 
     def _measure(self) -> TensorDictBase:
         shown = self._last[self._observation].double()
         if not shown.isfinite().all():
             raise RuntimeError(
-                f"the environment's observation must be finite, got {shown.tolist()}: "
-                "return the last reading where the simulation fails, or limit the actions"
+                f"the environment's observation must be finite, got {shown.tolist()}: return the "
+                "last reading where the simulation fails, or limit the actions"
             )
         measured = {"observation": self._state(self._continued(shown))}
         if self.from_pixels:
@@ -199,6 +201,11 @@ class AdaptedEnv(RobotEnv):
         state = shown.clone()
         state[..., cosines] = self._turned
         return state[..., self._kept]
+
+
+def _ends(step: TensorDictBase) -> list[str]:
+    """How the episode of an environment ended, if it did."""
+    return [name for name in ENDS if name in step and step[name].any()]
 
 
 def _entry(specs: Composite, key: NestedKey, role: str) -> TensorSpec:

@@ -59,7 +59,7 @@ class HeldActionsEnv(WrappedRobotEnv):
             sent.append(shown["sent"] if "sent" in shown else tensordict["action"])
             self.cut_short = self.robot.cut_short
             if self.cut_short:
-                measured = period == self.periods - 1
+                measured = period == self.periods - 1 and not self.robot.unread
                 break
         result = self._shown(shown, measured)
         if "sent" in shown:

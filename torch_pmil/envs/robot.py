@@ -26,7 +26,8 @@ class RobotEnv(EnvBase):
 
     An episode ends only by ``guard``. It is called with the states (*batch, D) after each step, and
     returns why the motion must end, or "". ``cut_short`` holds that reason until the next reset.
-    ``terminated`` says whether the environment behind the robot reported its end in the last step.
+    ``terminated`` says whether the environment behind the robot reported its end in the last step,
+    and ``unread`` whether it gave no reading after it.
     ``physical`` is True for a real robot, which makes no unnecessary motion. A single robot with
     ``turns`` starts that many times, one after the other, and these rollouts make one batch.
 
@@ -40,7 +41,7 @@ class RobotEnv(EnvBase):
         ValueError: the seed is not a whole number from 0 on, or the period is not positive.
     """
 
-    physical = terminated = False
+    physical = terminated = unread = False
     turns: int | None = None
 
     def __init__(
@@ -63,12 +64,21 @@ class RobotEnv(EnvBase):
         self._generator = torch.Generator()
         self._set_seed(seed)
 
-    def rollout(self, *args: Any, **given: Any) -> TensorDictBase:
-        """TorchRL's rollouts (*batch, T); (turns, T) of a robot that starts several times."""
+    def rollout(self, max_steps: int, *args: Any, **given: Any) -> TensorDictBase:
+        """TorchRL's rollouts (*batch, T); (turns, max_steps) of a robot that starts several times.
+
+        Of these, a rollout that ends early stays at its last step. A single one ends with the last
+        step that was read.
+        """
         roll = super().rollout
         if self.turns is None:
-            return roll(*args, **given)
-        return torch.stack([roll(*args, **given) for _ in range(self.turns)])
+            rollout = roll(max_steps, *args, **given)
+            return rollout[..., :-1] if self.unread else rollout
+        rolled, steps = (
+            [roll(max_steps, *args, **given) for _ in range(self.turns)],
+            range(max_steps),
+        )
+        return torch.stack([each[[min(t, len(each) - 1) for t in steps]] for each in rolled])
 
     def get_extra_state(self) -> Tensor:
         """State of the generator of starts and noise, part of ``state_dict``."""

@@ -52,6 +52,11 @@ class WrappedRobotEnv(RobotEnv):
         return self.robot.terminated
 
     @property
+    def unread(self) -> bool:  # type: ignore[override]
+        """That of the robot."""
+        return self.robot.unread
+
+    @property
     def torque_limits(self) -> Tensor | None:
         """Limits of the robot."""
         return self.robot.torque_limits

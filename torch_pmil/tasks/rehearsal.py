@@ -13,7 +13,6 @@ from torch import Tensor
 
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.envs.adapter import EpisodeEndedError
 from torch_pmil.envs.layers import counted, unrepeatable_layer, wrappers_of
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot, length_of_step
@@ -209,10 +208,7 @@ def _tried(task: Task, actions: Tensor, begun: Callable[[], None] = lambda: None
     begun()
     states = [step["observation"]]
     for action in actions:
-        try:
-            step = env.step(step.set("action", action))["next"]
-        except EpisodeEndedError:  # seldom so early under a policy
-            break
+        step = env.step(step.set("action", action))["next"]
         states.append(step["observation"])
         if env.cut_short:
             break

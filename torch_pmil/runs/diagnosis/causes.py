@@ -199,7 +199,7 @@ def check_motion(
         f"the robot moved {_percent(moved)} as far from its start as the demonstrations: torques "
         "that do not overcome gravity or static friction teach the model nothing; make the first "
         f"motion larger ({larger_motion(settings)}), and begin at actions that hold the robot "
-        "(holding_actions of a Task)",
+        "(holding_actions of a Task); or convert the recordings, if their unit is not the robot's",
     )
 
 

@@ -74,11 +74,9 @@ class RobotEnv(EnvBase):
         if self.turns is None:
             rollout = roll(max_steps, *args, **given)
             return rollout[..., :-1] if self.unread else rollout
-        rolled, steps = (
-            [roll(max_steps, *args, **given) for _ in range(self.turns)],
-            range(max_steps),
-        )
-        return torch.stack([each[[min(t, len(each) - 1) for t in steps]] for each in rolled])
+        rolled = [roll(max_steps, *args, **given) for _ in range(self.turns)]
+        steps = torch.arange(max_steps)
+        return torch.stack([each[steps.clamp(max=len(each) - 1)] for each in rolled])
 
     def get_extra_state(self) -> Tensor:
         """State of the generator of starts and noise, part of ``state_dict``."""

@@ -19,16 +19,15 @@ from torch_pmil.search.target_costs import Cost, FunctionCost, TargetCost
 from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.declared_angles import turning
 from torch_pmil.tasks.error_checks import check_error
-from torch_pmil.tasks.own_parts import with_own
-from torch_pmil.tasks.own_robot import (
+from torch_pmil.tasks.own_observation import (
     chosen_actions,
     entries_of,
     observed_entries,
-    parted,
     robot_of,
     set_evaluated,
-    without_none,
 )
+from torch_pmil.tasks.own_parts import with_own
+from torch_pmil.tasks.own_robot import parted, without_none
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
 from torch_pmil.tasks.own_starts import start_around, starts_of
 from torch_pmil.tasks.site_match import site_match

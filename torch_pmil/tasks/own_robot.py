@@ -16,10 +16,8 @@ from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 from torch_pmil.demonstrations.distribution import expert_distribution
-from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
-from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.mujoco_robot import MujocoRobot
-from torch_pmil.envs.one_robot import OneRobot, check_period
+from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.policy_search import SearchSettings
@@ -28,9 +26,16 @@ from torch_pmil.search.target_costs import Cost
 from torch_pmil.tasks.declared_angles import on_one_turn, turning
 from torch_pmil.tasks.deviation import Deviation
 from torch_pmil.tasks.error_checks import check_error
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import fitting
 from torch_pmil.tasks.improving_task import improving
 from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.own_observation import (
+    chosen_actions,
+    entries_of,
+    observed_entries,
+    robot_of,
+    set_evaluated,
+)
 from torch_pmil.tasks.own_parts import with_own
 from torch_pmil.tasks.own_recordings import Recorded, at_control_rate, noise, read, with_angles
 from torch_pmil.tasks.own_robot_checks import check_said, seconds
@@ -47,8 +52,6 @@ CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
 # a robot that nobody here has seen may lead every search into the same poor optimum
 SEARCH = SearchSettings(restarts=2)
-ROUNDED = 0.011  # by which a control period may differ from the robot's: 0.033 s at 30 Hz
-DEGREES = ("deg", "degree", "degrees", "°")
 TARGET_UNITS = ("rad", "m", "deg", "°")  # of an action, where the entry's unit is not known
 PLACE = 3  # coordinates of a site
 ESTIMATED = {"initial", "actions", "noise_std", "method"}  # fields for which None says nothing
@@ -268,70 +271,11 @@ def without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in settings.items() if name not in left_out}
 
 
-def entries_of(
-    env: Any,
-    state: Sequence[str],
-    units: Sequence[str],
-    angles: Sequence[str],
-    settings: dict[str, Any],
-) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
-    """Names, units and angles of the observation; a MujocoRobot knows them, and its start."""
-    if not isinstance(env, MujocoRobot):
-        return state, units, angles
-    if state and tuple(state) != env.names:
-        raise ValueError(
-            f"state must be that of the MujocoRobot, {', '.join(env.names)}, so leave it out, got "
-            f"{', '.join(state)}"
-        )
-    settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))
-    return state or env.names, units or env.units, angles or env.turning
-
-
-def set_evaluated(robot: Robot, settings: dict[str, Any]) -> None:
-    """Measure policies from fresh starts, unless a person would have to put the robot there.
-
-    Raises ValueError if that is asked for.
-    """
-    if robot.physical and settings.get("evaluated"):
-        raise ValueError("evaluated must be False for a physical robot, got True")
-    settings.setdefault("evaluated", not robot.physical)
-
-
-def chosen_actions(settings: Mapping[str, Any], env: MujocoRobotEnv | AdaptedEnv) -> ActionSpace:
-    """The actions that are given, or else those of the robot; ValueError if it has others."""
-    own = actions_of(env)
-    actions: ActionSpace = settings.get("actions", own)
-    if len(actions.names) != len(own.names):
-        raise ValueError(f"actions must be as many as the robot's, {own}, got {actions}")
-    return actions
-
-
 def parted(settings: Mapping[str, Any], kind: type[Task]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The fields of a kind of task among settings, and the settings of its method."""
     of_task = {entry.name for entry in fields(kind)}
     given = {name: value for name, value in settings.items() if name in of_task}
     return given, {name: value for name, value in settings.items() if name not in of_task}
-
-
-def robot_of(
-    env: Any, control_period: float, observed: Sequence[str], steps: int | None, dim: int
-) -> Robot:
-    """The robot of an environment whose entries are so named, with a state of ``dim`` entries.
-
-    Raises:
-        TypeError, ValueError: as :class:`~torch_pmil.envs.one_robot.OneRobot`, or the observation
-            has another number of entries.
-    """
-    if isinstance(env, MujocoRobot):
-        check_period(env.control_period, control_period, steps, ROUNDED)
-        return env
-    robot = OneRobot(env, control_period, _pairs(observed), steps)
-    if robot.dim != dim:
-        raise ValueError(
-            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
-            f"{', '.join(observed)}"
-        )
-    return robot
 
 
 def _space(
@@ -353,43 +297,6 @@ def _space(
             )
         match = MatchSpace.of_entries(shown, names, [known[names.index(name)] for name in shown])
     return StateSpace(names, known, indices, match)
-
-
-def observed_entries(
-    observed: Sequence[str], angles: Sequence[str], units: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Names of the state's entries, a cosine and sine counted as one, and indices of the angles.
-
-    Raises:
-        ValueError: an angle is unknown, its unit is degrees, or its cosine or sine is missing; or
-            there is another number of units.
-    """
-    turned = {*angles, *(observed[pair.cos][4:] for pair in _pairs(observed))}
-    names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
-    if unknown := sorted(turned - set(names)):
-        raise ValueError(
-            f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
-        )
-    if len(units) not in (0, len(names)):
-        raise ValueError(
-            f"units must be one for each of {', '.join(names)}, got {', '.join(units)}"
-        )
-    for name, unit in zip(names, units, strict=False):  # there may be none
-        if name in turned and unit in DEGREES:
-            raise ValueError(
-                f"angles must be in rad, got {name} in {unit}: convert the observation"
-            )
-    return names, tuple(index for index, name in enumerate(names) if name in turned)
-
-
-def _pairs(observed: Sequence[str]) -> list[CosSin]:
-    """The angles whose cosine and sine an observation holds."""
-    names = list(observed)
-    angles = dict.fromkeys(name[4:] for name in names if name[:4] in ("cos ", "sin "))
-    pairs = [(f"cos {angle}", f"sin {angle}") for angle in angles]
-    if missing := [name for pair in pairs for name in pair if name not in names]:
-        raise ValueError(f"state must name {missing[0]} too, got {', '.join(names)}")
-    return [CosSin(names.index(cos), names.index(sin)) for cos, sin in pairs]
 
 
 def _held(actions: ActionSpace, state: StateSpace) -> Callable[[Tensor], Tensor] | None:

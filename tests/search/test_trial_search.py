@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import pytest
@@ -11,11 +12,13 @@ from torch import Tensor
 from tests.helpers.draws import Draws
 from tests.helpers.integrator import belief_at_one, integrator_loss, random_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search import success_search, trial_search
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
-from torch_pmil.search.success_search import STEADYINGS, search_for_success, steady_policy
+from torch_pmil.search.success_search import STEADYINGS, WIDER, search_for_success, steady_policy
 from torch_pmil.search.trial_search import BOLDER, PROGRESS, TrialSearch
 
 HORIZON = 6
@@ -50,6 +53,21 @@ def test_policy_that_copies_the_spread_is_narrow_when_it_is_steadied(
     assert (narrow[2:] < 0.8 * wide[2:]).all()
     assert steadied.loss > result.loss
     assert steadied.loss == pytest.approx(loss.per_step(INITIAL).sum().item())
+
+
+def test_policy_steadied_for_wider_starts_succeeds_from_more_of_them(
+    loss: TrajectoryKLLoss,
+) -> None:
+    """The outcome is that of the starts as they are."""
+    search_policy(loss, INITIAL, SETTINGS)
+    found, promise = copy.deepcopy(loss.actor_network.state_dict()), Promise(0.95, distance, WIDE)
+    outer, rates = Gaussian(INITIAL.mean, 9 * INITIAL.cov), []
+    for wider in (1.0, 3.0):
+        loss.actor_network.load_state_dict(found)
+        steadied = steady_policy(loss, INITIAL, SETTINGS, wider=wider)
+        assert steadied.loss == pytest.approx(loss.per_step(INITIAL).sum().item())
+        rates.append(promise.predicted(loss, outer).successes)
+    assert rates[1] > rates[0]
 
 
 def test_steadied_policy_succeeds_more_often(loss: TrajectoryKLLoss) -> None:
@@ -87,8 +105,9 @@ def steadied(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[Se
     """The searches that were made; the weights are then their number, and so is the KL."""
     made: list[SearchResult] = []
 
-    def search(*_: object) -> SearchResult:
+    def search(*given: object) -> SearchResult:
         made.append(outcome(float(len(made) + 1)))
+        assert given[-1] == 1 + WIDER * (len(made) - 1)
         loss.actor_network.weights.data.fill_(len(made))
         return made[-1]
 
@@ -102,14 +121,14 @@ def kept_by(loss: TrajectoryKLLoss) -> int:
     return int(loss.actor_network.weights[0, 0].item())
 
 
-SUCCESSES = {  # evaluations before, rates, the number of searches made, and of the one kept
-    "enough": (1000, [1.0], 0, 0),
-    "steadied": (1000, [0.5, 0.95], 1, 1),
-    "again": (1000, [0.5, 0.6, 0.6, 0.95], 3, 3),
-    "often enough": (1000, [0.5] + [0.6] * STEADYINGS, STEADYINGS, 1),
-    "worse": (1000, [0.5, 0.6, 0.4], 2, 1),
-    "hopeless": (1000, [0.0, 0.001], 1, 0),
-    "as many evaluations as before": (15, [0.5, 0.6, 0.7], 2, 2),
+SUCCESSES = {  # rates, the number of searches made, and of the one kept
+    "enough": ([1.0], 0, 0),
+    "steadied": ([0.5, 0.95], 1, 1),
+    "again": ([0.5, 0.6, 0.6, 0.95], 3, 3),
+    "often enough": ([0.5] + [0.6] * STEADYINGS, STEADYINGS, 1),
+    "worse": ([0.5, 0.6, 0.4], 2, 1),
+    "hardly worse": ([0.5, 0.6, 0.59, 0.95], 3, 3),
+    "hopeless": ([0.0, 0.001], 1, 0),
 }
 
 
@@ -117,12 +136,28 @@ SUCCESSES = {  # evaluations before, rates, the number of searches made, and of 
 def test_policy_is_steadied_until_the_aim_is_reached_and_the_best_is_kept(
     loss: TrajectoryKLLoss, steadied: list[SearchResult], case: str
 ) -> None:
-    before, rates, made, kept = SUCCESSES[case]
-    found = search_for_success(
-        loss, INITIAL, ScriptedPromise(*rates), SETTINGS, outcome(0.0, evaluations=before)
-    )
+    rates, made, kept = SUCCESSES[case]
+    found = search_for_success(loss, INITIAL, ScriptedPromise(*rates), SETTINGS, outcome(0.0))
     assert (len(steadied), kept_by(loss), found.loss) == (made, kept, float(kept))
-    assert found.evaluations == before + 10 * made
+    assert found.evaluations == 10 + 10 * made
+
+
+def test_best_policy_is_kept_where_wider_starts_cannot_be_predicted(
+    loss: TrajectoryKLLoss, steadied: list[SearchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = success_search.steady_policy
+
+    def failing(*given: object) -> SearchResult:
+        if len(steadied) == 2:
+            loss.actor_network.weights.data.fill_(9.0)
+            raise PredictionError("too wide", 1)
+        return search(*given)
+
+    monkeypatch.setattr(success_search, "steady_policy", failing)
+    found = search_for_success(
+        loss, INITIAL, ScriptedPromise(0.5, 0.7, 0.69), SETTINGS, outcome(0.0)
+    )
+    assert (len(steadied), kept_by(loss), found.loss) == (2, 1, 1.0)
 
 
 # the order of the searches

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import scipy
-import torch
 from torch import Tensor
 
 from torch_pmil.control.state_box import StateBox

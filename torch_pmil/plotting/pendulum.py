@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from torch import Tensor
 
-from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, WIDTH, style
+from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, style
 
 # colours of times, without the faintest yellow
 LATE_IS_DARK = ListedColormap(mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256)))
@@ -42,7 +42,7 @@ def plot_poses(joints: Tensor, time_step: float) -> Figure:
     poses = _checked(joints)
     reach = _reach(poses)
     colours = ScalarMappable(Normalize(0, time_step * (len(poses) - 1)), LATE_IS_DARK)
-    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    figure = Figure(figsize=(5.6, 4.6), layout="constrained")
     panel = figure.subplots()
     times = time_step * np.arange(len(poses))
     for pose, colour in zip(poses, map(tuple, colours.to_rgba(times)), strict=True):

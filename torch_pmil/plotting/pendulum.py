@@ -42,7 +42,7 @@ def plot_poses(joints: Tensor, time_step: float) -> Figure:
     poses = _checked(joints)
     reach = _reach(poses)
     colours = ScalarMappable(Normalize(0, time_step * (len(poses) - 1)), LATE_IS_DARK)
-    figure = Figure(figsize=(5.6, 4.6), layout="constrained")
+    figure = Figure(figsize=(6.0, 4.6), layout="compressed")
     panel = figure.subplots()
     times = time_step * np.arange(len(poses))
     for pose, colour in zip(poses, map(tuple, colours.to_rgba(times)), strict=True):

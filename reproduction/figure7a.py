@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from reproduction.figure7 import (
@@ -16,15 +17,24 @@ from reproduction.figure7 import (
 )
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Task
 
 PILCO = "PILCO"
+TRUST = 0.6  # of PILCO's predictions: on the seeds 100 to 102 it learned sooner than with 0.15
+
+
+def pilco_task() -> Task:
+    """PILCO's swing-up, with the trust by which it learns soonest."""
+    task = load_experiment("double_pendulum_pilco")
+    trusting = task.with_settings(**{"search.trust_threshold": TRUST})
+    return replace(trusting, name=f"{task.name}_trusting")
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Ours, then PILCO's."""
     seeds, trials = size(quick, THEIR_TRIALS)
     return our_runs(root, quick) + [
-        learning_run(root, load_experiment("double_pendulum_pilco"), seed, trials) for seed in seeds
+        learning_run(root, pilco_task(), seed, trials) for seed in seeds
     ]
 
 

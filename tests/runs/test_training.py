@@ -285,3 +285,12 @@ def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, dra
     assert loaded.keys() == tensors.keys()
     assert all(torch.equal(loaded[name], value) for name, value in tensors.items())
     assert os.listdir(tmp_path) == ["tensors.pt"]
+
+
+@pytest.mark.parametrize("resume", [None, 3])
+def test_resume_that_is_no_folder_is_refused(tmp_path: Path, resume: object) -> None:
+    with pytest.raises(
+        TypeError, match=f"resume must be a bool or the folder of a run, got {resume}"
+    ):
+        train(short_experiment(), SEED, 1, tmp_path, COMMAND, resume=resume)
+    assert not list(tmp_path.iterdir())

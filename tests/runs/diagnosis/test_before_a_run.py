@@ -80,11 +80,16 @@ def test_demonstrations_of_the_package_and_strokes_of_people_have_no_finding(
     assert check(load_experiment(name, shape and demonstrations_from(f"lasa:{shape}"))) == []
 
 
+@pytest.mark.parametrize("held", [1, 4])
 @pytest.mark.parametrize(
     ("steps", "fatal"), [(500, []), (501, [False]), (5000, [False]), (5001, [True])]
 )
-def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: list[bool]) -> None:
-    found = check_length(Demonstrations(torch.zeros(2, steps + 1, 1), 0.1, ("x",)))
+def test_motion_of_more_steps_than_a_model_can_take_is_named(
+    steps: int, fatal: list[bool], held: int
+) -> None:
+    """A step may be several samples long."""
+    shown = Demonstrations(torch.zeros(2, held * steps + 1, 1), 0.1 / held, ("x",))
+    found = check_length(shown, held)
     assert [finding.fatal for finding in found] == fatal
     assert all(f"have {steps} steps" in finding.message for finding in found)
 

@@ -37,7 +37,8 @@ def leave_runs(root: Path, curves: Mapping[str, Sequence[float]]) -> list[Path]:
 
 
 @pytest.mark.parametrize(
-    ("needed", "names"), [(runs_of_7a, ("", "_pilco")), (runs_of_7b, ("", "_dmp", "_dmp_10hz"))]
+    ("needed", "names"),
+    [(runs_of_7a, ("", "_pilco_trusting")), (runs_of_7b, ("", "_dmp", "_dmp_10hz"))],
 )
 def test_runs_are_our_ten_and_the_baselines_with_the_papers_seconds_of_experience(
     tmp_path: Path, needed: Callable[[Path, bool], list[Run]], names: tuple[str, ...]

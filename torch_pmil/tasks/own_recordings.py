@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -20,7 +21,7 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.errors import UnknownEntryError
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
-from torch_pmil.demonstrations.turns import values_of, with_values
+from torch_pmil.demonstrations.turns import values_of
 
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
 LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
@@ -109,8 +110,9 @@ def with_angles(recorded: Demonstrations | Recordings) -> Demonstrations | Recor
             f"cos {q}": torch.atan2(columns[f"sin {q}"], columns[f"cos {q}"]) for q in angles
         }
         values.append(torch.stack([columns[name] for name in kept], -1))
-    units = {} if isinstance(recorded, Demonstrations) else {"units": ()}
-    return with_values(recorded, values, names=shown, **units)
+    if isinstance(recorded, Demonstrations):
+        return replace(recorded, names=shown, positions=torch.stack(values))
+    return replace(recorded, names=shown, values=tuple(values), units=())
 
 
 def at_control_rate(

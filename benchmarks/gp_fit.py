@@ -5,7 +5,7 @@ One thread.
 Ours starts cold (from PILCO's starts) or warm (from the optimum of the data without their last
 rollout). Plain GPyTorch is a batch of exact GPs on the same data, from the first of PILCO's starts,
 by at most 100 iterations of L-BFGS on ``ExactMarginalLogLikelihood``, without PILCO's penalties,
-which cost ours some tenths of a nat. Evaluations are of one output's likelihood; nats are the total
+which cost ours up to 16 nats. Evaluations are of one output's likelihood; nats are the total
 negative log likelihood, without penalties.
 
 Example:

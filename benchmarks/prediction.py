@@ -28,7 +28,7 @@ from matplotlib.ticker import NullLocator
 from benchmarks.command_line import source_of, write_summary
 from benchmarks.workloads import make_problem, signal_to_noise
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
-from torch_pmil.plotting.style import GREEN, style
+from torch_pmil.plotting.style import GREEN, legend_above, style
 
 ROOT = Path(__file__).parents[1]
 THREADS = 1  # of all rows but those of the speed-up
@@ -305,7 +305,7 @@ def cpu_model() -> str:
 
 
 def plot(rows: list[dict], horizon: int) -> Figure:
-    """CPU seconds and peak memory over n at one horizon, each line with its name at its end."""
+    """CPU seconds and peak memory over n at one horizon, a line for each library."""
     figure = Figure(figsize=(9.4, 3.8), layout="constrained")
     time, memory = figure.subplots(1, 2)
     for library in DRAWN:
@@ -324,35 +324,17 @@ def plot(rows: list[dict], horizon: int) -> Figure:
         panel.set_xticks(sizes, map(str, sizes))
         panel.xaxis.set_minor_locator(NullLocator())
         style(panel)
-    figure.suptitle(
-        f"value and policy gradient of the KL, double pendulum, T = {horizon}, threads: "
-        f"{rows[0]['threads']}",
-        fontsize=10,
-    )
+    legend_above(figure, len(DRAWN), time)
     return figure
 
 
 def draw(panel: Axes, rows: list[dict], quantity: str, library: str) -> None:
-    """One line and its name."""
-    if rows:
-        colour, marker = DRAWN[library]
-        panel.plot(
-            [row["n"] for row in rows],
-            [row[quantity] for row in rows],
-            color=colour,
-            marker=marker,
-            markersize=5,
-        )
-        end = (rows[-1]["n"], rows[-1][quantity])
-        panel.annotate(
-            LABELS[library],
-            end,
-            xytext=(7, 0),
-            textcoords="offset points",
-            color=colour,
-            va="center",
-            fontsize=9,
-        )
+    """One line, if there is anything in it."""
+    if not rows:
+        return
+    colour, marker = DRAWN[library]
+    numbers = [row["n"] for row in rows], [row[quantity] for row in rows]
+    panel.plot(*numbers, color=colour, marker=marker, markersize=5, label=LABELS[library])
 
 
 if __name__ == "__main__":

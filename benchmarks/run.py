@@ -30,6 +30,7 @@ PARTS = {
     "kernels": "compiled predictions, costs and adjoints",
     "around": "the rest of an evaluation in a policy search",
     "optimiser": "torch.optim.LBFGS in a policy search",
+    "samples": "searches on samples, their kernels left out: costs, gradients and Adam",
     "rollouts": "the robot's motions, simulated",
     "pictures": "figures, video, GIF and report, ffmpeg included",
     "rest": "checkpoints, predictions of success, diagnosis, summaries",
@@ -38,6 +39,7 @@ WATCHED = (
     ("torch_pmil.model.dynamics", "GPDynamics", "fit", "fits"),
     ("torch_pmil.model.compiled.building", "Kernel", "__call__", "kernels"),
     ("torch_pmil.search.policy_search", "", "minimise_function", "optimiser"),
+    ("torch_pmil.search.sample_search", "", "search_on_samples", "samples"),
     ("torchrl.envs", "EnvBase", "rollout", "rollouts"),
     ("torch_pmil.cli.train", "", "tell_all", "pictures"),
 )

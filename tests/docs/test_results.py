@@ -140,9 +140,6 @@ def test_a_page_says_which_results_are_of_earlier_sources(
         )
 
 
-def test_times_of_a_policys_step_are_those_on_its_page_and_below_a_millisecond() -> None:
-    (page,) = (text for page, text in TEXTS.items() if page.name == "deploy.md")
+def test_a_policys_step_takes_less_than_a_millisecond() -> None:
     for row in summaries.summary_of("benchmarks/policy_step")["rows"]:
-        names = ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")
-        assert f"| {row['form']} | {' | '.join(f'{row[name]:.0f}' for name in names)} |" in page
         assert row["cpu_us_median"] < 1000 and row["wall_us_median"] < 1000

@@ -1,4 +1,4 @@
-"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; five seeds."""
+"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; ten seeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Handwriting: strokes of the LASA set, written by two robots, three seeds each."""
+"""Handwriting: strokes of the LASA set, written by two robots, ten seeds each."""
 
 from __future__ import annotations
 

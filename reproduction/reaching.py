@@ -1,4 +1,4 @@
-"""Section 5.2.5's method on the double pendulum: its tip reaches places; three seeds."""
+"""Section 5.2.5's method on the double pendulum: its tip reaches places; ten seeds."""
 
 from __future__ import annotations
 

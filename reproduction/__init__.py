@@ -33,7 +33,6 @@ from reproduction.robustness import ROBUSTNESS
 from reproduction.sensitivity import SENSITIVITY
 from reproduction.servo_gains import SERVO_GAINS
 from reproduction.ur5e import UR5E_CARRIES
-from reproduction.where_runs_fail import WHERE_RUNS_FAIL
 
 PAPER = {
     experiment.name: experiment
@@ -55,7 +54,6 @@ PAPER = {
         ROBOT_SERVER,
         DOUBLE_PENDULUM_SERVO,
         SERVO_GAINS,
-        WHERE_RUNS_FAIL,
         UR5E_CARRIES,
         POSITIONS_ONLY,
         DELAY,

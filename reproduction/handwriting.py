@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 
 import torch
 
@@ -15,7 +15,13 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.plotting import plot_writing
 from torch_pmil.runs.summaries import read_summary
-from torch_pmil.tasks.handwriting import Writing, handwriting, handwriting_biorob, writing_of
+from torch_pmil.tasks.handwriting import (
+    SUCCESS_RATIO,
+    Writing,
+    handwriting,
+    handwriting_biorob,
+    writing_of,
+)
 from torch_pmil.tasks.strokes import distance_from_mean, distance_spread, lasa_strokes
 from torch_pmil.tasks.task import Task
 
@@ -69,6 +75,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         headline[f"{robot}_{shape}_ratio"] = median(ratio(run) for run in summaries)
         headline[f"{robot}_{shape}_experience_s"] = median(run["experience_s"] for run in summaries)
     headline["worst_ratio"] = max(ratio(run) for summaries in runs.values() for run in summaries)
+    headline["writers_own_success"] = writers_own_success({shape for _, shape in tasks})
     figures = {
         robot: plot_writing({s: writing(of_task[r, s][0], s, r) for r, s in tasks if r == robot})
         for robot in dict(tasks)
@@ -94,6 +101,12 @@ def ratio(run: dict) -> float:
         1.0
     """
     return _norm(run["rms_error"]) / _norm(run["demonstration_spread"])
+
+
+def writers_own_success(shapes: Iterable[str]) -> float:
+    """Fraction of people's strokes that would be a success beside the others of their shape."""
+    ratios = [left_out_ratios(written(shape).demonstrations) for shape in shapes]
+    return fmean(ratio <= SUCCESS_RATIO for of_shape in ratios for ratio in of_shape)
 
 
 def left_out_ratios(strokes: Demonstrations) -> list[float]:

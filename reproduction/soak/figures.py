@@ -1,11 +1,12 @@
-"""Figures of a soak: promises beside what was measured, and experience by task."""
+"""Figures of a soak: promises beside what was measured, experience, and causes of failures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from reproduction.plots.counts import plot_counts
 from reproduction.plots.many_runs import plot_experience_by_task, plot_promises
-from reproduction.replayed_runs import drawn
+from reproduction.replayed_runs import ALL, drawn, tables
 from reproduction.soak.comparison import Outcomes
 from reproduction.soak.results import Row
 from reproduction.soak.tasks import TASKS
@@ -16,7 +17,9 @@ TITLES = {task.name: task.title for task in TASKS}
 
 
 def figures_of(rows: Sequence[Row], theirs: Outcomes) -> dict[str, Figure]:
-    """The figures by name; the one of promises only where runs promise something.
+    """The figures by name.
+
+    That of promises is left out if no run promises anything, that of causes if no trial failed.
 
     Args:
         rows: of all runs, see :func:`~reproduction.soak.results.row_of`.
@@ -29,7 +32,11 @@ def figures_of(rows: Sequence[Row], theirs: Outcomes) -> dict[str, Figure]:
     if theirs:
         methods[THEIRS] = {key: theirs[key] for key in ended.keys() & theirs.keys()}
     experience = {label: _experience(outcomes) for label, outcomes in methods.items()}
-    return {"experience": plot_experience_by_task(experience), **_promises(ended.values())}
+    return {
+        "experience": plot_experience_by_task(experience),
+        **_promises(ended.values()),
+        **_causes(ended.values()),
+    }
 
 
 def _experience(outcomes: Outcomes) -> dict[str, list[float]]:
@@ -53,3 +60,11 @@ def _promises(rows: Iterable[Row]) -> dict[str, Figure]:
         for claimed in (True, False)
     }
     return {"promises": plot_promises(drawn(forecasts), of_claim[True], of_claim[False])}
+
+
+def _causes(rows: Iterable[Row]) -> dict[str, Figure]:
+    counted = tables([row["replayed"] for row in rows])["counts"]
+    if not any(counted.pop(ALL)["causes"].values()):
+        return {}
+    causes = {task: found["causes"] for task, found in counted.items()}
+    return {"causes": plot_counts({"trials that fail from more than 5 % of the starts": causes})}

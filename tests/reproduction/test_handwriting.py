@@ -9,8 +9,17 @@ import pytest
 import torch
 
 from reproduction import handwriting
-from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, results
+from reproduction.handwriting import (
+    SEEDS,
+    SHAPES,
+    TRIALS,
+    left_out_ratios,
+    needed_runs,
+    ratio,
+    results,
+)
 from tests.helpers.summaries import leave_summary
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.tasks.handwriting import Writing
 
@@ -54,7 +63,16 @@ def test_every_median_is_at_its_shape_and_robot(
         assert found.headline[f"{robot}_{shape}_ratio"] == pytest.approx(1 + number)
         assert found.headline[f"{robot}_{shape}_experience_s"] == 24.5
     assert found.headline["worst_ratio"] == pytest.approx(7.0 * len(TASKS))
+    assert found.headline["writers_own_success"] == pytest.approx(19 / 28)
     assert found.figures.keys() == SHAPES.keys()
     assert len(found.figures["double_pendulum"].axes) == 4
     measured = [(one["robot"], one["shape"]) for one in found.details["measured"]]
     assert measured == [task for task in TASKS for _ in SEEDS]
+
+
+def test_writer_who_is_left_out_is_as_far_off_as_a_further_stroke_would_be() -> None:
+    """N strokes of unit spread: the expected squared ratio is 1 + 1 / (N - 1) = 1.25 of five."""
+    generator = torch.Generator().manual_seed(0)
+    strokes = torch.randn(5, 20_001, 2, dtype=torch.float64, generator=generator)
+    ratios = left_out_ratios(Demonstrations(strokes, 0.1, ("x", "y")))
+    assert ratios == pytest.approx([1.25**0.5] * 5, rel=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduction.failure_causes import UNSURE, ReplayedTrial
 from reproduction.replayed_runs import ReplayedRun
 from reproduction.soak import results
 from reproduction.soak.comparison import compared, outcomes_in, paired
@@ -266,3 +268,17 @@ def test_experience_is_drawn_beside_that_of_the_same_runs() -> None:
     assert 33.0 in places
     assert sum(list(line.get_xdata()).count(33.0) for line in panel.lines) == 2  # and the median
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["double pendulum", "BioRob"]
+
+
+def test_causes_are_drawn_where_a_trial_failed() -> None:
+    assert "causes" not in figures_of(ROWS, {})
+    numbers = dict(trial=1, success_rate=0.2, n_eval=20, own_success=False, complete=True)
+    unsure = dict(predicted_before=0.9, predicted_after=0.9, samples=100, loss=1.0, miss=None)
+    known = dict(covered=0.9, followed=0.9, known=1.0, spread_share=None, coverage_ahead={})
+    failed = ReplayedTrial(**numbers, **unsure, **known)  # type: ignore[arg-type]
+    replayed = replace(ROWS[0]["replayed"], trials=[failed])
+    (panel,) = figures_of([{**ROWS[0], "replayed": replayed}, ROWS[2]], {})["causes"].axes
+    names = [tick.get_text() for tick in panel.get_yticklabels()]
+    assert names == ["double_pendulum", "biorob"]
+    assert [bar.get_width() for bar in panel.patches] == [1, 0]
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == [UNSURE]

@@ -8,16 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from reproduction import failure_causes
 from reproduction.failure_causes import CAUSES, ENDS, ReplayedTrial, cause_of, end_of
-from reproduction.handwriting import left_out_ratios
 from reproduction.replay import replayed
 from reproduction.replayed_runs import ReplayedRun, counts, coverage_ahead, reliability, tables
-from reproduction.where_runs_fail import FULL, needed_runs
 from tests.helpers.short_run import quick_fits, run, short_experiment
-from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.runs.summaries import wilson_interval
 
 LUCK = "the own rollouts of two trials in a row succeeded"
@@ -134,13 +130,6 @@ def test_tables_have_each_task_and_all() -> None:
     assert [counted["totals"]["trials"] for counted in found["counts"].values()] == [1, 2, 3]
 
 
-def test_runs_are_thirty_seeds_of_eight_tasks(tmp_path: Path) -> None:
-    found = [run.out.relative_to(tmp_path / "replays") for run in needed_runs(tmp_path, False)]
-    assert len(found) == len(set(found)) == 240
-    assert {path.name for path in found} == {f"seed_{seed}" for seed in FULL.seeds}
-    assert len(needed_runs(tmp_path, True)) == 2
-
-
 def test_replay_predicts_what_the_run_predicted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,11 +142,3 @@ def test_replay_predicts_what_the_run_predicted(
     assert 0 <= found["predicted_saved"] <= 1 and last["samples"] == 10
     read = json.loads(json.dumps(found))["replayed"]
     assert [asdict(ReplayedTrial(**trial)) for trial in read] == found["replayed"]
-
-
-def test_writer_who_is_left_out_is_as_far_off_as_a_further_stroke_would_be() -> None:
-    """N strokes of unit spread: the expected squared ratio is 1 + 1 / (N - 1) = 1.25 of five."""
-    generator = torch.Generator().manual_seed(0)
-    strokes = torch.randn(5, 20_001, 2, dtype=torch.float64, generator=generator)
-    ratios = left_out_ratios(Demonstrations(strokes, 0.1, ("x", "y")))
-    assert ratios == pytest.approx([1.25**0.5] * 5, rel=0.02)

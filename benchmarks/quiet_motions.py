@@ -8,7 +8,7 @@ mean; a run has learned if 95 % of the saved policy's rollouts from fresh starts
 where they were stopped.
 
 Example:
-    python -m benchmarks.quiet_motions --tasks double_pendulum gym_pendulum
+    python -m benchmarks.quiet_motions
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -61,19 +62,20 @@ MOTIONS: dict[str, Shape] = {
 def main() -> None:
     """Read the command line, learn, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--tasks", nargs="+", choices=STEPS, default=list(STEPS))
     add_json(parser, "quiet_motions")
     arguments = parser.parse_args()
     source, rows = source_of("quiet_motions"), []
     command = str(source["command"])
     for seed in SEEDS:
-        for task in arguments.tasks:
+        for task in STEPS:
             for motion in MOTIONS:
                 rows.append(row(task, motion, seed, command))
                 print(" ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
-    headline = {"runs": len(rows), "learned": sum(each["learned"] for each in rows)}
+    learned = Counter(f"{each['task']}_{each['motion']}" for each in rows if each["learned"])
+    names = [f"{task}_{motion}" for task in STEPS for motion in MOTIONS]
+    headline = {"seeds": len(SEEDS)} | {f"learned_{name}": learned[name] for name in names}
     write_summary(arguments.json, {**source, "headline": headline, "rows": rows})
-    print(f"{headline['learned']} of {headline['runs']} runs learned")
+    print(f"{learned.total()} of {len(rows)} runs learned")
 
 
 def row(task: str, motion: str, seed: int, command: str) -> dict[str, object]:

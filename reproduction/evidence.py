@@ -41,7 +41,7 @@ BENCHMARKS = (  # timings first
     "run",
     "samples",
     "past_evidence",
-    "quiet_motions --tasks double_pendulum gym_pendulum",
+    "quiet_motions",
     "front_door",
     "failures",
 )

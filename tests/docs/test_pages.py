@@ -199,5 +199,7 @@ def test_promise_is_kept_with_other_numbers_and_with_nothing_else() -> None:
     assert not_printed("wrote a.npz:  5 of 2.5 s", "some\nwrote a.npz: 12 of 1e-3 s\n") == []
     assert not_printed("wrote a.npz: 5", "wrote b.npz: 5") == ["wrote a.npz: 5"]
     assert not_printed("wrote 5", "wrote five") == ["wrote 5"]
+    assert not_printed("wrote 5 (...)", "wrote 6 (as it said)") == []
+    assert not_printed("wrote 5 (...)", "wrote 6, as it said") == ["wrote 5 (...)"]
     assert not_printed("success rate 95% of 20", "success rate  90% of 20") == []
     assert not_printed("success rate 95% of 20", "success rate 80% of 20") != []

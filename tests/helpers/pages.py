@@ -94,7 +94,7 @@ def not_printed(promised: str, printed: str) -> list[str]:
     """The lines of a promise that no printed line keeps.
 
     A printed line may have other numbers and other spaces, but a success rate may be at most ten
-    percent points less than promised.
+    percent points less than promised. ``...`` stands for anything.
     """
     lines = printed.splitlines()
     return [
@@ -115,7 +115,8 @@ def _keeps(promised: str, printed: str) -> bool:
 
 
 def _any_numbers(word: str) -> str:
-    return NUMBER.pattern.join(map(re.escape, NUMBER.split(word)))
+    pieces = [NUMBER.pattern.join(map(re.escape, NUMBER.split(p))) for p in word.split("...")]
+    return ".*".join(pieces)
 
 
 def _rates(line: str) -> list[str]:

@@ -47,30 +47,24 @@ class Robot:
         make_env: makes it.
         joint: that its motor moves.
         motion: of its teacher.
-        most_seeds: that learn it.
     """
 
     name: str
     make_env: type[PendubotEnv]
     joint: int
     motion: teachers.SwingUp
-    most_seeds: int
-
-    def seeds(self, quick: bool) -> Sequence[int]:
-        """Seeds of its runs."""
-        return size(quick, TRIALS)[0][: self.most_seeds]
 
 
 ROBOTS = (
-    Robot("pendubot", PendubotEnv, 0, teachers.PENDUBOT, 10),
-    Robot("acrobot", AcrobotEnv, 1, teachers.ACROBOT, 3),
+    Robot("pendubot", PendubotEnv, 0, teachers.PENDUBOT),
+    Robot("acrobot", AcrobotEnv, 1, teachers.ACROBOT),
 )
 
 
 def needed_runs(robot: Robot, root: Path, quick: bool) -> list[Run]:
     """Our runs of a robot."""
-    experiment, trials = load_experiment(robot.name), size(quick, TRIALS)[1]
-    return [learning_run(root, experiment, seed, trials) for seed in robot.seeds(quick)]
+    experiment, (seeds, trials) = load_experiment(robot.name), size(quick, TRIALS)
+    return [learning_run(root, experiment, seed, trials) for seed in seeds]
 
 
 @torch.no_grad()

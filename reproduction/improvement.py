@@ -26,7 +26,6 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.search.saturating_cost import saturating_cost
 from torch_pmil.search.target_costs import SaturatingCost
 from torch_pmil.tasks.cart_pole import cart_pole_space
-from torch_pmil.tasks.method import ON_SAMPLES
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.task import Task
 
@@ -61,8 +60,6 @@ def _task(way: str, **settings: Any) -> Task:
         units=space.units,
         angles=("q",),
         match=space.match_space,
-        past=None,
-        search=ON_SAMPLES,
         name=f"cart_pole_{way}",
         **settings,
     )

@@ -67,9 +67,12 @@ def _env(addresses: Addresses, stops: Path | None, seed: int) -> PhysicalRobotEn
 
 
 def learn_hastily(out: Path, addresses: Addresses, stops: Path, trials: int) -> None:
-    """Learn with a search that takes no time, until the robot cannot be reached."""
+    """Learn with a search that takes no time, until the robot cannot be reached.
+
+    No number of successes ends it.
+    """
     few = dict.fromkeys(("mean_iterations", "stage_iterations", "final_iterations"), 1)
-    settings = {f"search.{name}": count for name, count in few.items()}
-    experiment = served_experiment(addresses, stops).with_settings(**settings)
+    settings = {f"search.{name}": count for name, count in {**few, "sample_steps": 0}.items()}
+    hasty = served_experiment(addresses, stops).with_settings(**settings, confirmations=trials)
     with suppress(RobotError):
-        train(experiment, 0, trials, out, "kills", progress_bar=False, resume=True)
+        train(hasty, 0, trials, out, "kills", progress_bar=False, resume=True)

@@ -71,9 +71,10 @@ def main() -> None:
             for motion in MOTIONS:
                 rows.append(row(task, motion, seed, command))
                 print(" ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
-    learned = Counter(f"{each['task']}_{each['motion']}" for each in rows if each["learned"])
-    names = [f"{task}_{motion}" for task in STEPS for motion in MOTIONS]
-    headline = {"seeds": len(SEEDS)} | {f"learned_{name}": learned[name] for name in names}
+    learned = Counter((each["task"], each["motion"]) for each in rows if each["learned"])
+    headline = {"seeds": len(SEEDS)} | {
+        f"learned_{task}_{motion}": learned[task, motion] for task in STEPS for motion in MOTIONS
+    }
     write_summary(arguments.json, {**source, "headline": headline, "rows": rows})
     print(f"{learned.total()} of {len(rows)} runs learned")
 

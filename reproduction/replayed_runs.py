@@ -84,14 +84,6 @@ class ReplayedRun:
         found = [cause_of(t, self.summary["moved"]) for t in self.trials if t.trial > first]
         return Counter(cause for cause in found if cause is not None)
 
-    def forecasts(self, entry: str) -> list[Forecast]:
-        """What its models expected of each trial's policy.
-
-        Args:
-            entry: of a :class:`~reproduction.failure_causes.ReplayedTrial`, the prediction.
-        """
-        return [Forecast(getattr(t, entry), t.success_rate) for t in self.trials]
-
 
 def counts(runs: Sequence[ReplayedRun]) -> dict[str, Any]:
     """Trials by cause and runs by end.

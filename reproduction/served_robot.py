@@ -71,8 +71,8 @@ def learn_hastily(out: Path, addresses: Addresses, stops: Path, trials: int) -> 
 
     No number of successes ends it.
     """
-    few = dict.fromkeys(("mean_iterations", "stage_iterations", "final_iterations"), 1)
-    settings = {f"search.{name}": count for name, count in {**few, "sample_steps": 0}.items()}
-    hasty = served_experiment(addresses, stops).with_settings(**settings, confirmations=trials)
+    few = {f"search.{kind}_iterations": 1 for kind in ("mean", "stage", "final")}
+    few |= {"search.sample_steps": 0, "confirmations": trials}
+    hasty = served_experiment(addresses, stops).with_settings(**few)
     with suppress(RobotError):
         train(hasty, 0, trials, out, "kills", progress_bar=False, resume=True)

@@ -12,28 +12,19 @@ import pytest
 from reproduction import failure_causes
 from reproduction.failure_causes import CAUSES, ENDS, ReplayedTrial, cause_of, end_of
 from reproduction.replay import replayed
-from reproduction.replayed_runs import ReplayedRun, counts, coverage_ahead, reliability, tables
+from reproduction.replayed_runs import (
+    Forecast,
+    ReplayedRun,
+    counts,
+    coverage_ahead,
+    reliability,
+    tables,
+)
+from tests.helpers.replayed import RIGHT
 from tests.helpers.short_run import quick_fits, run, short_experiment
 from torch_pmil.runs.summaries import wilson_interval
 
 LUCK = "the own rollouts of two trials in a row succeeded"
-RIGHT = ReplayedTrial(
-    trial=2,
-    success_rate=0.8,
-    n_eval=20,
-    own_success=True,
-    complete=True,
-    predicted_before=0.85,
-    predicted_after=0.85,
-    samples=100,
-    loss=1.0,
-    miss=1.2,
-    covered=0.95,
-    followed=0.95,
-    known=1.0,
-    spread_share=None,
-    coverage_ahead={"1": 0.95},
-)
 NO_CAUSE = dict.fromkeys(CAUSES, 0)
 STUCK = replace(RIGHT, complete=False, predicted_before=0.0, success_rate=0.0, spread_share=0.1)
 
@@ -104,11 +95,7 @@ def test_all_failures_are_counted_once_and_those_after_a_success_apart() -> None
 
 
 def test_reliability_pools_trials_of_like_predictions() -> None:
-    trials = [
-        replace(RIGHT, predicted_before=predicted, success_rate=rate)
-        for predicted, rate in ((0.0, 0.1), (0.02, 0.3), (1.0, 1.0))
-    ]
-    low, high = reliability(replayed_run(*trials).forecasts("predicted_before"))
+    low, high = reliability([Forecast(0.0, 0.1), Forecast(0.02, 0.3), Forecast(1.0, 1.0)])
     assert (low["trials"], low["predicted"], low["measured"]) == pytest.approx((2, 0.01, 0.2))
     assert low["lower"] == pytest.approx(wilson_interval(np.array(0.2), 2)[0])
     assert (high["trials"], high["predicted"], high["measured"]) == (1, 1.0, 1.0)

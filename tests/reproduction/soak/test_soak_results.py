@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reproduction.failure_causes import UNSURE, ReplayedTrial
+from reproduction.failure_causes import UNSURE
 from reproduction.replayed_runs import ReplayedRun
 from reproduction.soak import results
 from reproduction.soak.comparison import compared, outcomes_in, paired
@@ -20,6 +20,7 @@ from reproduction.soak.processes import RECORD
 from reproduction.soak.results import Row, details_of, headline_of, outcome_of, row_of
 from reproduction.soak.tasks import TASKS, SoakRun, first_runs
 from tests.helpers import summaries
+from tests.helpers.replayed import RIGHT
 from tests.helpers.summaries import leave_summary
 from torch_pmil.plotting import Figure
 from torch_pmil.runs.summaries import RunError
@@ -272,11 +273,7 @@ def test_experience_is_drawn_beside_that_of_the_same_runs() -> None:
 
 def test_causes_are_drawn_where_a_trial_failed() -> None:
     assert "causes" not in figures_of(ROWS, {})
-    numbers = dict(trial=1, success_rate=0.2, n_eval=20, own_success=False, complete=True)
-    unsure = dict(predicted_before=0.9, predicted_after=0.9, samples=100, loss=1.0, miss=None)
-    known = dict(covered=0.9, followed=0.9, known=1.0, spread_share=None, coverage_ahead={})
-    failed = ReplayedTrial(**numbers, **unsure, **known)  # type: ignore[arg-type]
-    replayed = replace(ROWS[0]["replayed"], trials=[failed])
+    replayed = replace(ROWS[0]["replayed"], trials=[replace(RIGHT, success_rate=0.2)])
     (panel,) = figures_of([{**ROWS[0], "replayed": replayed}, ROWS[2]], {})["causes"].axes
     names = [tick.get_text() for tick in panel.get_yticklabels()]
     assert names == ["double_pendulum", "biorob"]

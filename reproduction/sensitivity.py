@@ -22,6 +22,7 @@ SETTINGS = (
     "initial_weight_std",
     "input_scale",
     "random_action",
+    "search.sample_steps",
     "search.mean_iterations",
     "search.stage_iterations",
     "search.final_iterations",
@@ -38,7 +39,7 @@ def variants() -> dict[str, Task]:
     Example:
         >>> tasks = variants()
         >>> tasks["search.first_horizon halved"].method.search.first_horizon, len(tasks)
-        (0.1, 23)
+        (0.1, 25)
     """
     task = load_experiment("double_pendulum")
     known: dict[str, Any] = task.adjustable

@@ -13,40 +13,37 @@ from matplotlib.figure import Figure
 from torch_pmil.plotting.style import COLOURS, GREY, HATCHES, WIDTH, check_some, style
 
 
-def plot_counts(panels: Mapping[str, Mapping[str, Mapping[str, int]]]) -> Figure:
-    """Stacked bars of counts, one panel below the other, each with a legend of its kinds.
+def plot_counts(table: Mapping[str, Mapping[str, int]], what: str) -> Figure:
+    """A bar for each row, from above, stacked from its kinds.
 
     Kinds that were never counted are left out.
 
     Args:
-        panels: by what is counted, by row, the count of each kind; all rows of a panel have the
-            same kinds.
+        table: by row, the count of each kind; all rows have the same kinds.
+        what: is counted.
 
     Raises:
-        ValueError: there is no panel, or rows of one have different kinds.
+        ValueError: there is no row, or rows have different kinds.
 
     Example:
-        >>> figure = plot_counts({"runs": {"Pendulum": {"learned": 28, "failed": 2}}})
+        >>> figure = plot_counts({"Pendulum": {"learned": 28, "failed": 2}}, "runs")
         >>> figure.axes[0].get_xlabel()
         'number of runs'
     """
-    check_some("panels", panels)
-    rows = max(map(len, panels.values()))
-    figure = Figure(figsize=(WIDTH, (1.2 + 0.25 * rows) * len(panels)), layout="constrained")
-    drawn = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
-    for panel, (what, table) in zip(drawn, panels.items(), strict=True):
-        kinds = {tuple(counts) for counts in table.values()}
-        if len(kinds) > 1:
-            raise ValueError(f"rows of {what} must have the same kinds, got {sorted(kinds)}")
-        _draw_bars(panel, table)
-        panel.set(xlabel=f"number of {what}")
-        style(panel)
-        panel.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize="small")
+    check_some("table", table)
+    kinds = {tuple(counts) for counts in table.values()}
+    if len(kinds) > 1:
+        raise ValueError(f"all rows must have the same kinds, got {sorted(kinds)}")
+    figure = Figure(figsize=(WIDTH, 1.2 + 0.25 * len(table)), layout="constrained")
+    panel = figure.subplots()
+    _draw_bars(panel, table)
+    panel.set(xlabel=f"number of {what}")
+    style(panel)
+    panel.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize="small")
     return figure
 
 
 def _draw_bars(panel: Axes, table: Mapping[str, Mapping[str, int]]) -> None:
-    """The rows from above, their kinds from the left."""
     kinds, counts = list(next(iter(table.values()))), [list(row.values()) for row in table.values()]
     widths = np.array(counts, dtype=int)
     begins = widths.cumsum(1) - widths

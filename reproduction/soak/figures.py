@@ -64,7 +64,7 @@ def _promises(rows: Iterable[Row]) -> dict[str, Figure]:
 
 def _causes(rows: Iterable[Row]) -> dict[str, Figure]:
     counted = tables([row["replayed"] for row in rows])["counts"]
-    if not any(counted.pop(ALL)["causes"].values()):
+    if not counted.pop(ALL)["totals"]["trials_failed"]:
         return {}
     causes = {task: found["causes"] for task, found in counted.items()}
-    return {"causes": plot_counts({"trials that fail from more than 5 % of the starts": causes})}
+    return {"causes": plot_counts(causes, "trials that fail from more than 5 % of the starts")}

@@ -46,10 +46,7 @@ def unwrapped(shown: Shown, turns: Mapping[str, float], near: Mapping[str, float
         start = near.get(name, values[0][0, column].item())
         for one in values:
             one[:, column] = _continued(one[:, column], start, turn)
-    held: dict[str, Any] = {"values": tuple(values)}
-    if isinstance(shown, Demonstrations):
-        held = {"positions": torch.stack(values)}
-    return replace(shown, **held)
+    return with_values(shown, values)
 
 
 def wrapping(shown: Recordings | Demonstrations) -> dict[str, tuple[float, int, int]]:
@@ -138,6 +135,13 @@ def declared_by(name: str, turn: float) -> str:
 def values_of(shown: Recordings | Demonstrations) -> list[Tensor]:
     """Observations of each recording or demonstration, (T_n, M)."""
     return [*(shown.positions if isinstance(shown, Demonstrations) else shown.values)]
+
+
+def with_values(shown: Shown, values: Sequence[Tensor], **changes: Any) -> Shown:
+    """The recordings or demonstrations with other observations (T_n, M), and other changes."""
+    if isinstance(shown, Demonstrations):
+        return replace(shown, positions=torch.stack(list(values)), **changes)
+    return replace(shown, values=tuple(values), **changes)
 
 
 def _label(shown: Recordings | Demonstrations, number: int) -> str:

@@ -77,7 +77,7 @@ def explore(task: Task, seed: int, share: float = 1.0) -> FirstMotion:
     """
     random = task.exploration
     assert isinstance(random, RandomActions)  # as a task has for which the motion decides
-    held = replace(random, fraction=share * random.fraction, hold=_longest(task))
+    held = replace(random, fraction=share * random.fraction, hold=longest_step(task))
     motion, env = held.motion(generator_of(Stream.MOTION, seed)), task.robot(seed)
     if task.state_box is not None:
         motion = CautiousMotion(motion, task.state_box)
@@ -126,7 +126,7 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
         task: with ``samplings``.
         motion: of its robot.
     """
-    first, longest = task.samplings[0], _longest(task)
+    first, longest = task.samplings[0], longest_step(task)
     if len(motion.actions) < FEWEST_SPANS * SPAN * longest:
         return Choice(first)
     held, lost = _step(task, motion)
@@ -145,7 +145,7 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
 
 def _step(task: Task, motion: FirstMotion) -> tuple[int, dict[str, float]]:
     """The step, in control periods, and what models lose by each."""
-    first, longest = task.samplings[0], _longest(task)
+    first, longest = task.samplings[0], longest_step(task)
     steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
     lost = [_loss(resampled(task, step), motion, longest // step.held) for step in steps]
     found, least = list(zip(steps, lost, strict=True)), min(lost)
@@ -180,5 +180,6 @@ def _loss(task: Task, motion: FirstMotion, every: int) -> float:
     return held_out_loss(task.make_dynamics(), *seen, span=SPAN * every, every=every)
 
 
-def _longest(task: Task) -> int:
+def longest_step(task: Task) -> int:
+    """The longest step that a run may choose, in control periods."""
     return max((each.held for each in task.samplings), default=1)

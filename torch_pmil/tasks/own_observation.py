@@ -33,7 +33,7 @@ def entries_of(
             f"{', '.join(state)}"
         )
     settings.setdefault("initial", independent_start(env.initial_mean, env.initial_std))
-    return state or env.names, units or env.units, angles or env.turning
+    return env.names, units or env.units, angles or env.turning
 
 
 def observed_entries(

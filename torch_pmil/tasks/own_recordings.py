@@ -6,7 +6,6 @@ import os
 import warnings
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -21,7 +20,7 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.errors import UnknownEntryError
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.demonstrations.time_unit import check_times
-from torch_pmil.demonstrations.turns import values_of
+from torch_pmil.demonstrations.turns import values_of, with_values
 
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
 LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of the same unit
@@ -110,9 +109,8 @@ def with_angles(recorded: Demonstrations | Recordings) -> Demonstrations | Recor
             f"cos {q}": torch.atan2(columns[f"sin {q}"], columns[f"cos {q}"]) for q in angles
         }
         values.append(torch.stack([columns[name] for name in kept], -1))
-    if isinstance(recorded, Demonstrations):
-        return replace(recorded, names=shown, positions=torch.stack(values))
-    return replace(recorded, names=shown, values=tuple(values), units=())
+    units = {} if isinstance(recorded, Demonstrations) else {"units": ()}
+    return with_values(recorded, values, names=shown, **units)
 
 
 def at_control_rate(

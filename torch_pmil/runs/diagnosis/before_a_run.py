@@ -26,6 +26,7 @@ from torch_pmil.runs.diagnosis.reach_checks import (
     check_stops,
     check_torques,
 )
+from torch_pmil.tasks.first_motion import longest_step
 from torch_pmil.tasks.task import Task
 
 TORQUE_STEPS = 400  # number of steps whose torques are computed
@@ -66,7 +67,7 @@ def check(task: Task) -> list[Finding]:
         *check_jumps(sets, numbers, noise_std),
         *(check_turns(demonstrations) or check_rest(demonstrations, noise_std)),
         *check_agreement(sets, numbers, noise_std),
-        *check_length(demonstrations, max((each.held for each in task.samplings), default=1)),
+        *check_length(demonstrations, longest_step(task)),
         *check_duplicates(demonstrations, noise_std),
         *check_count(sets),
     ]

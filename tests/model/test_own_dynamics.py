@@ -246,6 +246,18 @@ def test_model_that_returns_nan_is_named_with_its_method(
         SampledPrediction(10)(start, policy(), own, PLAIN, 3)
 
 
+class _OfAllEntries(ByMoments):
+    def fit(self, inputs: Tensor, targets: Tensor) -> None:
+        super().fit(inputs, targets - torch.zeros(len(inputs), 4).double())
+
+
+def test_model_that_learns_other_entries_sees_the_shapes(draws: Draws) -> None:
+    model = OwnDynamics(_OfAllEntries(), 3, 2)
+    said = r"must learn from inputs \(25, 3\) and targets \(25, 2\), got RuntimeError: The size of"
+    with pytest.raises(ValueError, match=said):
+        model.fit(*data(draws))
+
+
 def test_model_without_data_says_so() -> None:
     with pytest.raises(RuntimeError, match="no data yet"):
         OwnDynamics(ByMoments(), 3, 2).functions(1, torch.Generator())

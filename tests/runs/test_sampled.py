@@ -27,7 +27,7 @@ from torch_pmil.runs.own_files import MOTION, SAMPLING, own
 from torch_pmil.runs.run_folder import UnfinishedRunError, clear_folder
 from torch_pmil.runs.sampled import sampled
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks import first_motion
+from torch_pmil.tasks import sampling_choice
 from torch_pmil.tasks.first_motion import explore, ran_away
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.task import Task
@@ -62,7 +62,7 @@ def test_motion_and_choice_are_taken_up_again(
     chosen, motion = sampled(task(), 100, tmp_path, resume=False, report=lines.append)
     assert chosen.samplings == () and lines[-1].startswith("steps of 0.")
     assert set(json.loads((tmp_path / SAMPLING).read_text())["lost"]) >= {"steps of 0.1 s"}
-    monkeypatch.setattr(first_motion, "held_out_loss", None)  # nothing is compared anew
+    monkeypatch.setattr(sampling_choice, "held_out_loss", None)  # nothing is compared anew
     again, same = sampled(task(), 100, tmp_path, resume=True, report=lines.append)
     assert again.settings == chosen.settings and lines[-1] == lines[-2]
     assert torch.equal(same["observation"], motion["observation"])

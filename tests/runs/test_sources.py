@@ -64,9 +64,19 @@ def test_hash_knows_the_names_of_modules(tmp_path: Path) -> None:
     assert hash_of_sources.__wrapped__(tmp_path) != before
 
 
-@pytest.mark.parametrize(("room", "changes"), [("runs/report", False), ("runs", True)])
-def test_what_shows_a_run_does_not_count(tmp_path: Path, room: str, changes: bool) -> None:
+@pytest.mark.parametrize(
+    ("module", "changes"),
+    [
+        ("runs/report/module.py", False),
+        ("tasks/sampling_choice.py", False),
+        ("runs/module.py", True),
+        ("tasks/sampling.py", True),
+    ],
+)
+def test_what_shows_a_run_and_the_choice_that_it_keeps_do_not_count(
+    tmp_path: Path, module: str, changes: bool
+) -> None:
     before = hash_of_sources.__wrapped__(tmp_path)
-    (tmp_path / room).mkdir(parents=True)
-    (tmp_path / room / "module.py").write_text(SOURCE)
+    (tmp_path / module).parent.mkdir(parents=True)
+    (tmp_path / module).write_text(SOURCE)
     assert (hash_of_sources.__wrapped__(tmp_path) != before) is changes

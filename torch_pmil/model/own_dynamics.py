@@ -57,13 +57,25 @@ class OwnDynamics(ForwardModel):
 
     @property
     def own(self) -> Any:
-        """The object fitted to the present data; RuntimeError before there are any."""
+        """The object fitted to the present data.
+
+        Raises:
+            RuntimeError: there are no data yet.
+            ValueError: its ``fit`` failed.
+        """
         if not self._fitted:
             self.check_has_data()
-            own = copy.deepcopy(self._given[0])
+            own, data = copy.deepcopy(self._given[0]), (self.train_inputs, self.train_targets)
             with torch.random.fork_rng(devices=[]), torch.enable_grad():
                 torch.manual_seed(FIT_SEED)
-                own.fit(self.train_inputs.clone(), self.train_targets.clone())
+                try:
+                    own.fit(*(each.clone() for each in data))
+                except (RuntimeError, ValueError) as error:
+                    inputs, targets = (tuple(each.shape) for each in data)
+                    raise ValueError(
+                        f"fit() of the model must learn from inputs {inputs} and targets "
+                        f"{targets}, got {type(error).__name__}: {error}"
+                    ) from error
             self._fitted = (own,)
         return self._fitted[0]
 

@@ -16,16 +16,9 @@ from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.files import FileError, read_json, short, write_json
 from torch_pmil.runs.own_files import MOTION, SAMPLING, own
 from torch_pmil.runs.run_folder import save_tensors
-from torch_pmil.tasks.first_motion import (
-    GENTLER,
-    GOOD,
-    Choice,
-    FirstMotion,
-    choose,
-    explore,
-    ran_away,
-)
+from torch_pmil.tasks.first_motion import GENTLER, FirstMotion, explore, ran_away
 from torch_pmil.tasks.resampled import resampled
+from torch_pmil.tasks.sampling_choice import GOOD, Choice, choose
 from torch_pmil.tasks.task import Task
 
 

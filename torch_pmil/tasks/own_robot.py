@@ -120,8 +120,8 @@ def own_robot(
             :func:`~torch_pmil.tasks.with_history.with_history`.
         step: seconds for which the policy holds an action, a multiple of the control period. By
             default a run chooses it by the first motion
-            (:func:`~torch_pmil.tasks.first_motion.choose`). With an ``error`` or an exploration of
-            one's own it is the control period.
+            (:func:`~torch_pmil.tasks.sampling_choice.choose`). With an ``error`` or an exploration
+            of one's own it is the control period.
         past: whether a run chooses by the first motion what the state holds of the past. What is
             given above is not chosen.
         steps_per_action: steps of the environment for which an action is held, see

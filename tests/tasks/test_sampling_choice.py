@@ -14,12 +14,13 @@ from tensordict import TensorDictBase
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.tasks import first_motion
-from torch_pmil.tasks.first_motion import FEWEST_SPANS, SPAN, Choice, FirstMotion, choose, explore
+from torch_pmil.tasks import sampling_choice
+from torch_pmil.tasks.first_motion import FirstMotion, explore
 from torch_pmil.tasks.own_robot import own_robot
 from torch_pmil.tasks.own_samplings import samplings_of
 from torch_pmil.tasks.resampled import at_step, resampled
 from torch_pmil.tasks.sampling import Sampling
+from torch_pmil.tasks.sampling_choice import FEWEST_SPANS, SPAN, Choice, choose
 from torch_pmil.tasks.task import Task
 
 
@@ -173,7 +174,7 @@ def test_step_is_the_longest_alike_of_good_models_and_the_shortest_of_bad_ones(
     losses: tuple[float, ...], held: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = dict(zip((1, 2, 4), losses, strict=True))
-    monkeypatch.setattr(first_motion, "_loss", lambda task, *_: of[task.held])
+    monkeypatch.setattr(sampling_choice, "_loss", lambda task, *_: of[task.held])
     task = task_of(past=None)
     assert choose(task, explore(task, seed=100)).sampling.held == held
 
@@ -183,11 +184,25 @@ def test_past_that_explains_the_motion_is_held_if_the_model_then_is_good(
     with_past: float, held: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A falling pole gains 27 nats by its past, and its model loses 4.5 with and without."""
-    monkeypatch.setattr(first_motion, "_loss", lambda task, *_: with_past if task.history else 4.8)
+    monkeypatch.setattr(
+        sampling_choice, "_loss", lambda task, *_: with_past if task.history else 4.8
+    )
     task = task_of(Joint(late=2), 60, step=0.05)
     choice = choose(task, explore(task, seed=100))
     assert choice.sampling.past == held and choice.gained["the action 0.1 s before"] > 9
     assert choice.lost == {"steps of 0.05 s": 4.8, "steps of 0.05 s, past_actions=2": with_past}
+
+
+def test_where_no_model_is_good_without_the_past_steps_are_compared_with_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A strong joint whose torque lags is thrown about: a model of its readings alone loses 2."""
+    with_past = {1: 1.9, 2: 0.7, 4: 0.72}
+    loss = lambda task, *_: with_past[task.held] if task.history else 2.4  # noqa: E731
+    monkeypatch.setattr(sampling_choice, "_loss", loss)
+    choice = choose(task := task_of(Joint(late=2)), explore(task, seed=100))
+    assert (choice.sampling.held, choice.sampling.past) == (4, {"past_actions": 1})
+    assert list(choice.lost.values()) == [2.4, 2.4, 2.4, 1.9, 0.7, 0.72]
 
 
 def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:

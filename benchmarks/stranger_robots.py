@@ -1,7 +1,7 @@
-"""Twenty robots on which nothing was tuned, each with recordings, and what a person would say.
+"""Twenty-three robots on which nothing was tuned, each with recordings and what one would say.
 
-They differ in what they are, in units, rates, noise and length of the motion. The first ten may be
-looked at while the package is developed, the others only at the end.
+They differ in what they are, in units, rates, noise and length of the motion. The first thirteen
+may be looked at while the package is developed, the others only at the end.
 """
 
 from __future__ import annotations
@@ -190,6 +190,27 @@ def _boat(x: Array, u: Array) -> Sequence[float]:
     )
 
 
+def _drone(x: Array, u: Array) -> Sequence[float]:
+    _, _, tilt, vx, vz, turn = x
+    thrust = 9.81 * (1 + (u[0] + u[1]) / 2)
+    ax, az = -thrust * np.sin(tilt) - 0.3 * vx, thrust * np.cos(tilt) - 9.81 - 0.3 * vz
+    return vx, vz, turn, ax, az, 20 * (u[1] - u[0]) - turn
+
+
+def _piston(x: Array, u: Array) -> Sequence[float]:
+    _, speed, pressure = x
+    return speed, (20 * pressure - 4 * speed - 6 * x[0] - 2) / 1.5, (u[0] - u[1] - pressure) / 0.08
+
+
+def _three_joints(x: Array, u: Array) -> Array:
+    q, dq = x[:3], x[3:]
+    tilt, bend = np.sin(np.cumsum(q)), np.cos(q[1])
+    weight = np.array([6 * tilt[0] + 3 * tilt[1], 3 * tilt[1] + tilt[2], tilt[2]])
+    inertia = np.diag([0.6, 0.3, 0.1]) + 0.1
+    inertia[:2, :2] += 0.05 * bend * np.array([[2, 1], [1, 0]])
+    return np.concatenate([dq, np.linalg.solve(inertia, u - weight - 0.5 * dq)])
+
+
 def _lagging_rail(x: Array, u: Array) -> Sequence[float]:
     return x[1], x[2] - 0.5 * x[1], (u[0] - x[2]) / 0.12
 
@@ -237,6 +258,21 @@ STRANGERS = {
         {"near": 23.0, "far": 20.0},
         noise=(0.05, 0.05),
         one_sided=True,
+    ),
+    "piston": Stranger(
+        *(("z", "dz"), _piston, 0.04, 2.5, (2.0, 2.0), (0, 0, 0.1), (0.02, 0.02, 0), {"z": 0.5}),
+        noise=(0.003, 0.02),
+        one_sided=True,
+    ),
+    "three_joints": Stranger(
+        *(("q1", "q2", "q3"), _three_joints, 0.05, 2.5, (18.0, 10.0, 4.0), (0,) * 6, (0.02,) * 6),
+        {"q1": 0.8, "q2": -0.6, "q3": 0.5},
+        noise=(0.004,) * 3,
+    ),
+    "drone": Stranger(
+        *(("x", "z", "tilt", "dx", "dz", "dtilt"), _drone, 0.02, 4.0, (0.5, 0.5), (0,) * 6),
+        *((0.02,) * 6, {"x": 1.5, "z": 0.8}),
+        noise=(0.005,) * 6,
     ),
     # looked at only at the end
     "half_turn": Stranger(

@@ -179,6 +179,14 @@ def test_step_is_the_longest_alike_of_good_models_and_the_shortest_of_bad_ones(
     assert choose(task, explore(task, seed=100)).sampling.held == held
 
 
+def test_long_motion_without_a_good_model_has_a_hundred_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sampling_choice, "_loss", lambda task, *_: 2.0)
+    task = task_of(past=None, steps=400)
+    assert choose(task, explore(task, seed=100)).sampling.held == 4
+
+
 @pytest.mark.parametrize(("with_past", "held"), [(0.3, {"past_actions": 2}), (4.5, {})])
 def test_past_that_explains_the_motion_is_held_if_the_model_then_is_good(
     with_past: float, held: dict[str, int], monkeypatch: pytest.MonkeyPatch

@@ -18,7 +18,7 @@ from torch_pmil.runs.own_files import MOTION, SAMPLING, own
 from torch_pmil.runs.run_folder import save_tensors
 from torch_pmil.tasks.first_motion import GENTLER, FirstMotion, explore, ran_away
 from torch_pmil.tasks.resampled import resampled
-from torch_pmil.tasks.sampling_choice import GOOD, Choice, choose
+from torch_pmil.tasks.sampling_choice import GOOD, MOST, Choice, choose
 from torch_pmil.tasks.task import Task
 
 
@@ -82,7 +82,7 @@ def in_words(task: Task, choice: Choice) -> str:
         'steps of 0.2 s: the simplest that predicts the first motion well'
         >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
         >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
-        'steps of 0.1 s: the shortest step, since no model predicts the first motion well'
+        'steps of 0.1 s: the shortest of at most 100, since no model predicts the first motion well'
     """
     chosen = choice.sampling.described(task.time_step)
     if not choice.lost:
@@ -92,7 +92,8 @@ def in_words(task: Task, choice: Choice) -> str:
         for of, digits in ((choice.lost, 2), (choice.gained, 1))
     )
     well = min(choice.lost.values()) <= GOOD
-    why = "the simplest that predicts" if well else "the shortest step, since no model predicts"
+    bad = f"the shortest of at most {MOST}, since no model predicts"
+    why = "the simplest that predicts" if well else bad
     return (
         f"{chosen}: {why} the first motion well (nats lost for each entry "
         f"{lost}{gained and '; nats gained '}{gained})"

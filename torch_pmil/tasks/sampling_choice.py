@@ -22,9 +22,9 @@ FEWEST_SPANS = 4  # of a motion by which samplings are judged
 ALIKE, SMALL = 1.25, 0.125
 # nats for each entry that a good model loses at most. Where the best one loses more, the motion is
 # too short to compare samplings: likelihoods of a falling pole seem to show a past that matters,
-# and the shortest step gives the next models the most data
+# and a short step gives the next models much data
 GOOD = 1.5
-MOST = 100  # transitions that are evidence of the past
+MOST = 100  # transitions that are evidence of the past, and steps of a motion without a good model
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     the motion (:func:`~torch_pmil.model.past_evidence.evidence_of_the_past`) and the model then is
     good: past actions if they act late, else the last reading and action. If no model is good
     without the past, the step is chosen among models with it. If none is good at all, it is the
-    shortest, without the past. A motion that was cut short too early to be judged decides nothing.
+    shortest that leaves a motion at most ``MOST`` steps, without the past: the time of a search
+    grows with the cube of their number. A motion that was cut short too early to be judged decides
+    nothing.
 
     Args:
         task: with ``samplings``.
@@ -61,15 +63,16 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     if len(motion.actions) < FEWEST_SPANS * SPAN * longest_step(task):
         return Choice(first)
     steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
+    short = next((each for each in steps if task.horizon <= MOST * each.held), steps[-1])
     chosen, lost = _longest_alike(task, motion, steps)
     if all(each in steps for each in task.samplings):
-        return Choice(chosen or steps[0], lost)
-    evidence, every = _evidence(task, motion, (chosen or steps[0]).held)
+        return Choice(chosen or short, lost)
+    evidence, every = _evidence(task, motion, (chosen or short).held)
     if evidence.is_likely:
         pasts = [_past(evidence, every, step.held) for step in ([chosen] if chosen else steps)]
         past, lost_by_past = _longest_alike(task, motion, pasts)
         chosen, lost = past or chosen, lost | lost_by_past
-    return Choice(chosen or steps[0], lost, evidence.by_name)
+    return Choice(chosen or short, lost, evidence.by_name)
 
 
 def _longest_alike(

@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.rollouts import states_of
+from torch_pmil.model.past_evidence import PastEvidence
 from torch_pmil.tasks import sampling_choice
 from torch_pmil.tasks.first_motion import FirstMotion, explore
 from torch_pmil.tasks.own_robot import own_robot
@@ -52,6 +53,17 @@ class Joint(gymnasium.Env):
         return self.shown(), 0.0, False, False, {}
 
 
+class Encoder(Joint):
+    """A joint whose velocity is not measured."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.observation_space = Box(-np.inf, np.inf, (1,), np.float64)
+
+    def shown(self) -> np.ndarray:
+        return super().shown()[:1]
+
+
 def demonstrated(steps: int = 100) -> Demonstrations:
     share = torch.linspace(0, 1, steps + 1, dtype=torch.float64)
     way = share**3 * (10 - 15 * share + 6 * share**2)
@@ -61,7 +73,8 @@ def demonstrated(steps: int = 100) -> Demonstrations:
 def task_of(robot: Joint | None = None, steps: int = 100, **said: object) -> Task:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return own_robot(robot or Joint(), demonstrated(steps), 0.05, state=("q", "dq"), **said)
+        state = ("q",) if isinstance(robot, Encoder) else ("q", "dq")
+        return own_robot(robot or Joint(), demonstrated(steps), 0.05, state=state, **said)
 
 
 def chosen(robot: Joint, steps: int = 100, **said: object) -> Sampling:
@@ -211,6 +224,19 @@ def test_where_no_model_is_good_without_the_past_steps_are_compared_with_it(
     choice = choose(task := task_of(Joint(late=2)), explore(task, seed=100))
     assert (choice.sampling.held, choice.sampling.past) == (4, {"past_actions": 1})
     assert list(choice.lost.values()) == [2.4, 2.4, 2.4, 1.9, 0.7, 0.72]
+
+
+@pytest.mark.parametrize(("robot", "expected"), [(Encoder(), (4, 1, 1)), (Joint(), (1, 0, 0))])
+def test_robot_without_velocities_keeps_its_last_reading_though_no_model_is_good(
+    robot: Joint, expected: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three joints that random torques throw about are predicted badly with it and without."""
+    likely = PastEvidence({1: 9.0}, 5.0, 100, 0.05)
+    monkeypatch.setattr(sampling_choice, "_evidence", lambda *_: (likely, 1))
+    monkeypatch.setattr(sampling_choice, "_loss", lambda *_: 2.0)
+    choice = choose(task := task_of(robot), explore(task, seed=100))
+    assert choice.sampling == Sampling(*expected)
+    assert choice.in_words(0.05).partition(": ")[2].startswith("no model predicts the first motion")
 
 
 def test_samplings_begin_with_that_for_which_nothing_is_chosen() -> None:

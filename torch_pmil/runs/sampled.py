@@ -18,7 +18,7 @@ from torch_pmil.runs.own_files import MOTION, SAMPLING, own
 from torch_pmil.runs.run_folder import save_tensors
 from torch_pmil.tasks.first_motion import GENTLER, FirstMotion, explore, ran_away
 from torch_pmil.tasks.resampled import resampled
-from torch_pmil.tasks.sampling_choice import GOOD, MOST, Choice, choose
+from torch_pmil.tasks.sampling_choice import Choice, choose
 from torch_pmil.tasks.task import Task
 
 
@@ -59,7 +59,7 @@ def sampled(
     else:
         choice = choose(task, motion)
     write_json(own(out, SAMPLING), asdict(choice))
-    report(in_words(task, choice))
+    report(choice.in_words(task.time_step))
     chosen = resampled(task, choice.sampling)
     return chosen, motion.as_rollout(chosen)
 
@@ -68,36 +68,6 @@ def discard_motion(out: Path) -> None:
     """Remove the first motion of the run in a folder, and what it decided."""
     for name in (MOTION, SAMPLING):
         (out / name).unlink(missing_ok=True)
-
-
-def in_words(task: Task, choice: Choice) -> str:
-    """What was chosen, and why.
-
-    Example:
-        >>> from torch_pmil import load_experiment
-        >>> from torch_pmil.tasks.sampling import Sampling
-        >>> task = load_experiment("double_pendulum")
-        >>> lost = {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25}
-        >>> in_words(task, Choice(Sampling(2), lost)).partition(" (")[0]
-        'steps of 0.2 s: the simplest that predicts the first motion well'
-        >>> bad = {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8}
-        >>> in_words(task, Choice(Sampling(1), bad)).partition(" (")[0]
-        'steps of 0.1 s: the shortest of at most 100, since no model predicts the first motion well'
-    """
-    chosen = choice.sampling.described(task.time_step)
-    if not choice.lost:
-        return f"{chosen}: the first motion was too short to compare others"
-    lost, gained = (
-        ", ".join(f"by {name}: {nats:.{digits}f}" for name, nats in of.items())
-        for of, digits in ((choice.lost, 2), (choice.gained, 1))
-    )
-    well = min(choice.lost.values()) <= GOOD
-    bad = f"the shortest of at most {MOST}, since no model predicts"
-    why = "the simplest that predicts" if well else bad
-    return (
-        f"{chosen}: {why} the first motion well (nats lost for each entry "
-        f"{lost}{gained and '; nats gained '}{gained})"
-    )
 
 
 def _first_motion(

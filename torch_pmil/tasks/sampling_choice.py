@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
+from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.held_out import held_out_loss
 from torch_pmil.model.past_evidence import PastEvidence, evidence_of_the_past
@@ -41,6 +42,30 @@ class Choice:
     lost: dict[str, float] = field(default_factory=dict)
     gained: dict[str, float] = field(default_factory=dict)
 
+    def in_words(self, period: float) -> str:
+        """What was chosen for a robot with this control period (s), and why.
+
+        Example:
+            >>> good = Choice(Sampling(2), {"steps of 0.1 s": 0.53, "steps of 0.2 s": 0.25})
+            >>> good.in_words(0.1).partition(" (")[0]
+            'steps of 0.2 s: the simplest that predicts the first motion well'
+            >>> bad = Choice(Sampling(1), {"steps of 0.1 s": 4.9, "steps of 0.2 s": 3.8})
+            >>> bad.in_words(0.1).partition(" (")[0]
+            'steps of 0.1 s: no model predicts the first motion well'
+        """
+        chosen = self.sampling.described(period)
+        if not self.lost:
+            return f"{chosen}: the first motion was too short to compare others"
+        lost, gained = (
+            ", ".join(f"by {name}: {nats:.{digits}f}" for name, nats in of.items())
+            for of, digits in ((self.lost, 2), (self.gained, 1))
+        )
+        well = min(self.lost.values()) <= GOOD
+        return (
+            f"{chosen}: {'the simplest that predicts' if well else 'no model predicts'} the first "
+            f"motion well (nats lost for each entry {lost}{gained and '; nats gained '}{gained})"
+        )
+
 
 def choose(task: Task, motion: FirstMotion) -> Choice:
     """The sampling of a task by its first motion.
@@ -52,7 +77,8 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     good: past actions if they act late, else the last reading and action. If no model is good
     without the past, the step is chosen among models with it. If none is good at all, it is the
     shortest that leaves a motion at most ``MOST`` steps, without the past: the time of a search
-    grows with the cube of their number. A motion that was cut short too early to be judged decides
+    grows with the cube of their number. But a robot that shows no velocities needs its last reading
+    then: what moves has a velocity. A motion that was cut short too early to be judged decides
     nothing.
 
     Args:
@@ -63,31 +89,40 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     if len(motion.actions) < FEWEST_SPANS * SPAN * longest_step(task):
         return Choice(first)
     steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
+    compared = _compare(task, motion, steps)
     short = next((each for each in steps if task.horizon <= MOST * each.held), steps[-1])
-    chosen, lost = _longest_alike(task, motion, steps)
+    chosen, lost = compared.best if compared.good else short, compared.lost
     if all(each in steps for each in task.samplings):
-        return Choice(chosen or short, lost)
-    evidence, every = _evidence(task, motion, (chosen or short).held)
+        return Choice(chosen, lost)
+    evidence, every = _evidence(task, motion, chosen.held)
     if evidence.is_likely:
-        pasts = [_past(evidence, every, step.held) for step in ([chosen] if chosen else steps)]
-        past, lost_by_past = _longest_alike(task, motion, pasts)
-        chosen, lost = past or chosen, lost | lost_by_past
-    return Choice(chosen or short, lost, evidence.by_name)
+        tried = [chosen] if compared.good else steps
+        past = _compare(task, motion, [_past(evidence, every, each.held) for each in tried])
+        lost = lost | past.lost
+        if past.good:
+            chosen = past.best
+        elif not (compared.good or rates_of(task.space.names)):
+            chosen = Sampling(past.best.held, past_entries=1, past_actions=1)
+    return Choice(chosen, lost, evidence.by_name)
 
 
-def _longest_alike(
-    task: Task, motion: FirstMotion, samplings: Sequence[Sampling]
-) -> tuple[Sampling | None, dict[str, float]]:
-    """The last of the samplings that predict alike, None if no model is good, and what each loses.
+@dataclass(frozen=True)
+class _Compared:
+    """The longest of the steps that predict alike, whether they predict well, and all losses."""
 
-    The samplings begin with the shortest step.
-    """
+    best: Sampling
+    good: bool
+    lost: dict[str, float]
+
+
+def _compare(task: Task, motion: FirstMotion, samplings: Sequence[Sampling]) -> _Compared:
+    """Compare models of samplings, which go from the shortest step to the longest."""
     longest = longest_step(task)
     lost = [_loss(resampled(task, each), motion, longest // each.held) for each in samplings]
     enough = ALIKE * min(lost) + SMALL
     alike = [each for each, nats in zip(samplings, lost, strict=True) if nats <= enough]
     names = (each.described(task.time_step) for each in samplings)
-    return alike[-1] if min(lost) <= GOOD else None, dict(zip(names, lost, strict=True))
+    return _Compared(alike[-1], min(lost) <= GOOD, dict(zip(names, lost, strict=True)))
 
 
 def _past(evidence: PastEvidence, every: int, held: int) -> Sampling:

@@ -219,7 +219,10 @@ def test_where_no_model_is_good_without_the_past_steps_are_compared_with_it(
 ) -> None:
     """A strong joint whose torque lags is thrown about: a model of its readings alone loses 2."""
     with_past = {1: 1.9, 2: 0.7, 4: 0.72}
-    loss = lambda task, *_: with_past[task.held] if task.history else 2.4  # noqa: E731
+
+    def loss(task: Task, *_: object) -> float:
+        return with_past[task.held] if task.history else 2.4
+
     monkeypatch.setattr(sampling_choice, "_loss", loss)
     choice = choose(task := task_of(Joint(late=2)), explore(task, seed=100))
     assert (choice.sampling.held, choice.sampling.past) == (4, {"past_actions": 1})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -60,10 +60,10 @@ class Choice:
             ", ".join(f"by {name}: {nats:.{digits}f}" for name, nats in of.items())
             for of, digits in ((self.lost, 2), (self.gained, 1))
         )
-        well = min(self.lost.values()) <= GOOD
+        why = "the simplest that predicts" if _is_good(self.lost) else "no model predicts"
         return (
-            f"{chosen}: {'the simplest that predicts' if well else 'no model predicts'} the first "
-            f"motion well (nats lost for each entry {lost}{gained and '; nats gained '}{gained})"
+            f"{chosen}: {why} the first motion well (nats lost for each entry "
+            f"{lost}{gained and '; nats gained '}{gained})"
         )
 
 
@@ -89,40 +89,39 @@ def choose(task: Task, motion: FirstMotion) -> Choice:
     if len(motion.actions) < FEWEST_SPANS * SPAN * longest_step(task):
         return Choice(first)
     steps = [replace(first, held=held) for held in sorted({each.held for each in task.samplings})]
-    compared = _compare(task, motion, steps)
+    longest, lost = _compare(task, motion, steps)
     short = next((each for each in steps if task.horizon <= MOST * each.held), steps[-1])
-    chosen, lost = compared.best if compared.good else short, compared.lost
+    good = _is_good(lost)
+    chosen = longest if good else short
     if all(each in steps for each in task.samplings):
         return Choice(chosen, lost)
     evidence, every = _evidence(task, motion, chosen.held)
     if evidence.is_likely:
-        tried = [chosen] if compared.good else steps
-        past = _compare(task, motion, [_past(evidence, every, each.held) for each in tried])
-        lost = lost | past.lost
-        if past.good:
-            chosen = past.best
-        elif not (compared.good or rates_of(task.space.names)):
-            chosen = Sampling(past.best.held, past_entries=1, past_actions=1)
+        pasts = [_past(evidence, every, each.held) for each in ([chosen] if good else steps)]
+        longest, lost_with_past = _compare(task, motion, pasts)
+        lost |= lost_with_past
+        if _is_good(lost_with_past):
+            chosen = longest
+        elif not (good or rates_of(task.space.names)):
+            chosen = Sampling(longest.held, past_entries=1, past_actions=1)
     return Choice(chosen, lost, evidence.by_name)
 
 
-@dataclass(frozen=True)
-class _Compared:
-    """The longest of the steps that predict alike, whether they predict well, and all losses."""
-
-    best: Sampling
-    good: bool
-    lost: dict[str, float]
-
-
-def _compare(task: Task, motion: FirstMotion, samplings: Sequence[Sampling]) -> _Compared:
-    """Compare models of samplings, which go from the shortest step to the longest."""
+def _compare(
+    task: Task, motion: FirstMotion, samplings: Sequence[Sampling]
+) -> tuple[Sampling, dict[str, float]]:
+    """The last of the samplings that predict alike, and what the model of each loses."""
     longest = longest_step(task)
     lost = [_loss(resampled(task, each), motion, longest // each.held) for each in samplings]
     enough = ALIKE * min(lost) + SMALL
     alike = [each for each, nats in zip(samplings, lost, strict=True) if nats <= enough]
     names = (each.described(task.time_step) for each in samplings)
-    return _Compared(alike[-1], min(lost) <= GOOD, dict(zip(names, lost, strict=True)))
+    return alike[-1], dict(zip(names, lost, strict=True))
+
+
+def _is_good(lost: Mapping[str, float]) -> bool:
+    """Whether a model loses little."""
+    return min(lost.values()) <= GOOD
 
 
 def _past(evidence: PastEvidence, every: int, held: int) -> Sampling:

@@ -55,7 +55,7 @@ def test_policy_that_stays_is_admitted_as_it_is(searched: Searched) -> None:
 
 
 def test_refused_policy_is_searched_on_until_it_stays(searched: Searched) -> None:
-    """At the price of the loss, which is told without the penalty."""
+    """The loss grows; the result holds it without the penalty."""
     loss, result = searched
     tight = box(0.5)
     admission = admit(loss, INITIAL, tight, SETTINGS, result)

@@ -98,7 +98,7 @@ def test_limits_must_hold_the_start() -> None:
 
 
 def test_robot_that_is_measured_in_turn_is_guarded_too() -> None:
-    """A rollout that leaves is none of a success."""
+    """A rollout that leaves does not count as a success."""
     experiment = short_experiment(box={"dq2": (-0.05, 0.05)}, evaluated=False)
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     errors = experiment.errors(StatePolicy(policy, experiment.space, 0.1), starts=5, seed=100)

@@ -1,7 +1,7 @@
 """The kernels beside the formulas in PyTorch, through the package's public functions.
 
 Where sums cancel, in models that are sure of many data, no two orders of summation agree to twelve
-digits. What rounding allows there is told by the formulas themselves: they are evaluated again at
+digits. The formulas themselves show what rounding allows there: they are evaluated again at
 the numbers next to those of the problem, each a unit in the last place away at most.
 """
 

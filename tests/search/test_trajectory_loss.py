@@ -208,7 +208,7 @@ def test_masked_steps_are_left_out(
 def test_what_is_masked_may_hold_anything(
     loss: TrajectoryLoss, key: str, batch: Gaussian, mask: Tensor
 ) -> None:
-    """Neither the value nor a gradient notices it, and what is no belief raises no error."""
+    """Neither the value nor a gradient notices it, and an invalid belief raises no error."""
     masked = start(batch).set("shifted_valid", mask)
     expected = loss(masked)[key]
     broken = copy.deepcopy(masked)

@@ -187,7 +187,7 @@ def foresight(
     """How right the model was about a rollout (T,) from which it has not learned, and how sure.
 
     It is judged up to the step to which the search trusted it: where nothing led the robot it may
-    be wrong.
+    be wrong. A rollout that ended earlier is judged to its end.
 
     Args:
         experiment, policy, dynamics: what was learned, by which policy on which model.
@@ -227,11 +227,12 @@ def _along_the_trajectory(
     (outcome,) = experiment.outcomes(predicted, rollout[None], torch.zeros(1))
     threshold = experiment.method.search.trust_threshold
     matched = first_mismatch(step_loss, threshold) is None
+    judged = min(horizon, len(rollout))
     return {
         "complete": horizon == experiment.horizon and matched,
         "loss": loss.per_step(experiment.initial).sum().item(),
-        "followed": two_sigma_coverage(predicted[:horizon], outcome.executed[:, : horizon + 1]),
-        "known": known_steps(experiment, dynamics, outcome)[:, :horizon].double().mean().item(),
+        "followed": two_sigma_coverage(predicted[:judged], outcome.executed[:, : judged + 1]),
+        "known": known_steps(experiment, dynamics, outcome)[:, :judged].double().mean().item(),
         "spread_share": _spread_share(experiment, predicted, step_loss > threshold),
     }
 

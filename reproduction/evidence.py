@@ -54,7 +54,7 @@ COMMANDS: dict[str, str] = {  # by the folder of the result, in order
     OF_A_GPU: "python -m benchmarks.device",
     **{f"tasks/{name}": shipped_tasks.COMMAND for name in shipped_tasks.SEEDS},
     **{f"paper/{name}": f"python scripts/reproduce.py {name}" for name in PAPER},
-    "soak": "python scripts/soak.py --runs 160",
+    "soak": "python scripts/soak.py --runs 240",
     # strangers and failures also depend on tasks/sampling_choice.py, which the hash leaves out
     "benchmarks/own_strangers": STRANGERS,
     "benchmarks/strangers": f"{STRANGERS} {THEIRS} "

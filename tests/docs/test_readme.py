@@ -26,7 +26,7 @@ OURS, ENSEMBLE, BCO = (
 ROWS = {  # the end of each row of results, with fields for its numbers
     "tasks/double_pendulum": "| {seeds} seeds | {median_experience_s:.1f} s "
     "({runs/experience_s:.1f} s) |",
-    "soak": "| {runs} | {saved_at_95} ({tasks/gym_pendulum/at_95..tasks/biorob/at_95} of "
+    "soak": "| {runs} | {saved_at_95} ({tasks/inverted_pendulum/at_95..tasks/biorob/at_95} of "
     "{tasks/biorob/runs} for each task) |",
     "paper/peers": f"| {{seeds}} seeds each | ours {OURS}, an ensemble of networks {ENSEMBLE}, "
     f"behavioural cloning from observation {BCO} |",

@@ -43,7 +43,7 @@ nitpick_ignore_regex = [
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
         "examples|numba|abc|argparse|collections|enum|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
-        "nn|np|Path|Tensor|TensorDictModule|EnvBase|CheckpointError",
+        "nn|np|Path|Tensor|TensorDictModule|EnvBase|CheckpointError|Guard",
         "Array[1-5]?|Address|TypeAliasForwardRef",
         # type variables and a private class
         r"reproduction\.runge_kutta\.State",

@@ -34,6 +34,7 @@ from torch_pmil.runs.diagnosis.measures import (
     saturated_fraction,
 )
 from torch_pmil.runs.summaries import RunError, read_summary
+from torch_pmil.tasks.cost_task import CostTask
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.tasks.task import Task
@@ -45,14 +46,15 @@ LARGEST = ("unknown", "saturated", "mismatch")  # measures that are bad when the
 
 
 def known_experiments() -> dict[str, Task]:
-    """All experiments of which runs may be, except handwriting."""
-    shipped = [load_experiment(name) for name in EXPERIMENTS if name != "handwriting"]
+    """All experiments with demonstrations of which runs may be, except handwriting."""
+    shipped = [load_experiment(name) for name in EXPERIMENTS if "handwriting" not in name]
+    imitations = [experiment for experiment in shipped if not isinstance(experiment, CostTask)]
     varied = [
         *varied_experiments().values(),
         *variations().values(),
         *map(with_second_link, SECOND_LINKS),
     ]
-    return {experiment.name: experiment for experiment in [*varied, *shipped]}
+    return {experiment.name: experiment for experiment in [*varied, *imitations]}
 
 
 def experiment_of(name: str, known: dict[str, Task]) -> Task | None:

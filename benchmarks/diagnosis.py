@@ -2,10 +2,10 @@
 
     python -m benchmarks.diagnosis
 
-reads every finished run with the present sources, lets its policy run from fresh starts, and writes
-the measures of each run and, for the runs that learned, the value that comes nearest to each
-threshold. Runs of other experiments than the shipped ones, their ablation and their varied robots
-are counted as left out.
+reads every finished run with the present sources, lets its policy run from fresh starts, and
+writes the measures of each run. Of the runs that learned it writes the worst value of each measure,
+and the share that lies beyond its threshold. Runs of other experiments than the shipped ones, their
+ablation and their varied robots are counted as left out.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 
 import torch
 
@@ -27,8 +28,14 @@ from torch_pmil.model.calibration import standardised_residuals, two_sigma_cover
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.diagnosis.after_a_run import known_steps, likely_reasons
 from torch_pmil.runs.diagnosis.measures import (
+    COVERED,
     FEWEST_STEPS,
+    FOLLOWED,
     LEARNED,
+    MISMATCH,
+    MOVED,
+    SATURATED,
+    UNKNOWN,
     covered_fraction,
     moved_fraction,
     saturated_fraction,
@@ -41,8 +48,9 @@ from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
-SMALLEST = ("covered", "followed", "moved")  # measures that are bad when they are small
-LARGEST = ("unknown", "saturated", "mismatch")  # measures that are bad when they are large
+# thresholds of the measures that are bad when they are small, and of those that are when large
+SMALLEST = {"covered": COVERED, "followed": FOLLOWED, "moved": MOVED}
+LARGEST = {"unknown": UNKNOWN, "saturated": SATURATED, "mismatch": MISMATCH}
 
 
 def known_experiments() -> dict[str, Task]:
@@ -93,6 +101,13 @@ def worst(name: str, measures: Sequence[Mapping]) -> float:
     return (min if name in SMALLEST else max)(each[name] for each in measures)
 
 
+def beyond(name: str, measures: Sequence[Mapping]) -> float:
+    """Share of several values of a measure that lie beyond its threshold."""
+    if name in SMALLEST:
+        return fmean(each[name] < SMALLEST[name] for each in measures)
+    return fmean(each[name] > LARGEST[name] for each in measures)
+
+
 def of_outcome(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
     """Measures of one target."""
     actions = outcome.rollouts["action"]
@@ -133,9 +148,14 @@ def main() -> None:
         runs.append(measured(path.parent, experiment))
         print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
-    nearest = {name: worst(name, learned) for name in (*SMALLEST, *LARGEST)}
+    names = *SMALLEST, *LARGEST
     numbers = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned)}
-    headline = {**numbers, "left_out": left_out, **nearest}
+    headline = {
+        **numbers,
+        "left_out": left_out,
+        **{name: worst(name, learned) for name in names},
+        **{f"{name}_beyond": beyond(name, learned) for name in names},
+    }
     found = {**source, "starts": STARTS, "headline": headline, "runs": runs}
     write_summary(arguments.json, found)
     print(headline)

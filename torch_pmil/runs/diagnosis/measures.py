@@ -1,7 +1,8 @@
 """Numbers by which a run that learned differs from one that did not, and their thresholds.
 
-A threshold lies beyond what was measured of any run that learned; the comments give the nearest
-value in ``results/benchmarks/diagnosis/summary.json`` (``python -m benchmarks.diagnosis``).
+The thresholds were set on runs without a search on samples: they lay beyond what was measured of
+any that learned, of which the comments give the nearest. ``python -m benchmarks.diagnosis`` gives
+the share of today's runs that learned and lie beyond.
 ``executed`` rollouts are x_0..x_T, (N, T + 1, D), and ``predicted`` their marginals at t = 1..T,
 mean (T, D).
 """

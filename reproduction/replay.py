@@ -120,7 +120,7 @@ def replayed(folder: Path, experiment: Task, samples: int) -> dict[str, Any]:
     """
     recorded = recording(folder, experiment)
     explored = recorded.explored.flatten()
-    model = _GrowingModel(experiment)
+    model = GrowingModel(experiment)
     model.learn(explored)
     policies = recorded.policies(experiment)
     rows = zip(recorded.trials, recorded.rollouts, policies, strict=True)
@@ -134,7 +134,7 @@ def replayed(folder: Path, experiment: Task, samples: int) -> dict[str, Any]:
     }
 
 
-class _GrowingModel:
+class GrowingModel:
     """The model of a run, which learns one motion after the other.
 
     Args:
@@ -154,7 +154,7 @@ class _GrowingModel:
 
 def _replayed_trial(
     experiment: Task,
-    model: _GrowingModel,
+    model: GrowingModel,
     trial: Mapping[str, Any],
     rollout: TensorDictBase,
     policy: AnyPolicy,

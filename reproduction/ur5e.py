@@ -22,6 +22,7 @@ from reproduction.arms import (
     PANDA,
     TOLERATED,
     UR5E,
+    ArmPilco,
     Distance,
     arm_experiment,
     pilco_experiment,
@@ -88,7 +89,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     tasks, seeds = experiments(), QUICK_SEEDS if quick else SEEDS
     rest, measured = iter(folders), dict[str, list[dict[str, Any]]]()
     for name, task in tasks.items():
-        shown = tasks["ur5e"] if name == "pilco" else task
+        shown = task.imitation if isinstance(task, ArmPilco) else task
         measured[name] = [measured_run(load_learned(next(rest), task), shown) for _ in seeds[name]]
     servos = {
         f"servo_alone_ratio_{arm.name}": ratio_of(

@@ -11,7 +11,7 @@ import pytest
 
 from reproduction import failure_causes
 from reproduction.failure_causes import CAUSES, ENDS, ReplayedTrial, cause_of, end_of
-from reproduction.replay import foresight, recording, replayed
+from reproduction.replay import GrowingModel, foresight, recording, replayed
 from reproduction.replayed_runs import (
     Forecast,
     ReplayedRun,
@@ -22,7 +22,6 @@ from reproduction.replayed_runs import (
 )
 from tests.helpers.replayed import RIGHT
 from tests.helpers.short_run import STEPS, quick_fits, run, short_experiment
-from torch_pmil.model.experience import Experience
 from torch_pmil.runs.summaries import wilson_interval
 
 LUCK = "the own rollouts of two trials in a row succeeded"
@@ -138,11 +137,9 @@ def test_rollout_that_ended_early_is_judged_to_its_end(
     quick_fits(monkeypatch)
     run(tmp_path)
     task = short_experiment()
-    recorded, dynamics = recording(tmp_path, task), task.make_dynamics()
-    experience = Experience(100)
-    experience.extend(recorded.explored.flatten())
-    dynamics.fit(*experience.data_for(dynamics, task.space))
-    asked, whole = (task, recorded.policies(task)[0], dynamics), recorded.rollouts[0]
+    recorded, model = recording(tmp_path, task), GrowingModel(task)
+    model.learn(recorded.explored.flatten())
+    asked, whole = (task, recorded.policies(task)[0], model.dynamics), recorded.rollouts[0]
     up_to_there = foresight(*asked, whole, STEPS - 1)
     assert foresight(*asked, whole[:-1], STEPS - 1) == up_to_there
     ended_early = foresight(*asked, whole[:-1], STEPS)

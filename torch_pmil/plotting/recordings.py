@@ -75,12 +75,13 @@ def plot_recordings(
     if units and len(units) != len(names):
         raise ValueError(f"units must be those of the {len(names)} names, got {len(units)}")
     texts = list(map(with_unit, names, units)) if units else names
-    figure, panels, planes = _layout(texts, _pairs(names))
+    pairs = _pairs(names)
+    figure, panels, planes = _layout(texts, pairs)
     looks = _looks(len(labels))
     for label, time, value, look in zip(labels, times, values, looks, strict=True):
         for column, panel in enumerate(panels):
             panel.plot(time - time[0], value[:, column], label=label, linewidth=1.1, **look)
-        for (x, y), plane in zip(_pairs(names), planes, strict=True):
+        for (x, y), plane in zip(pairs, planes, strict=True):
             _draw_path(plane, value[:, x].numpy(), value[:, y].numpy(), look)
     if len(labels) <= DISTINCT:
         rows = sum(len(label) + LINE for label in labels) / (WIDTH * figure.get_figwidth())

@@ -25,9 +25,9 @@ class PMIL(Learner):
             :class:`Task` and every setting of its :class:`~torch_pmil.tasks.method.Method`. With a
             ``cost``, the robot improves on its imitation, see ``docs/how_to/pilco.md``.
 
-    ``task`` holds robot, demonstrations and settings. After :meth:`learn` it is the task as the run
-    sampled it, ``result`` is the finished run, and ``policy`` a function from the robot's state to
-    its action.
+    ``task`` holds robot, demonstrations and settings. After
+    :meth:`~torch_pmil.runs.learner.Learner.learn` it is the task as the run sampled it, ``result``
+    is the finished run, and ``policy`` a function from the robot's state to its action.
 
     Raises:
         DemonstrationError: the demonstrations cannot be read, or do not fit the robot.

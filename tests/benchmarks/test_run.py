@@ -25,7 +25,7 @@ def test_a_parts_time_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_parts_of_a_run_add_up() -> None:
-    command = [sys.executable, "-m", "benchmarks.run", "--alone", "--experiment", "gym_pendulum"]
+    command = [sys.executable, "-m", "benchmarks.run", "--alone"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     parts = [found[f"cpu_seconds_{part}"] for part in PARTS]

@@ -390,12 +390,17 @@ def moving(end: str, period: float = 20.0) -> str:
     return PROGRAM.format(root=str(ROOT), period=period, end=end)
 
 
+def without_robot(end: str) -> str:
+    """A program that ends so; TorchRL's imports change the code of one that is interrupted."""
+    return f"import os, signal, sys, time\nimport torchrl.envs\n{end}"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ENDS)
 def test_robot_stops_when_its_program_ends(end: str) -> None:
     """And the program ends as it would without a robot."""
     found = ended(moving(ENDS[end]))
-    plain = ended(f"import os, signal, sys, time\n{ENDS[end]}")
+    plain = ended(without_robot(ENDS[end]))
     assert found.stdout.split() == ["stop", "moves", *plain.stdout.split(), "stop"]
     assert found.returncode == plain.returncode
 
@@ -412,7 +417,7 @@ def test_stop_that_blocks_delays_a_signal_by_a_second(number: str) -> None:
     found = ended(moving(BLOCKED + KILL.format(number) + "\nprint('survived')"))
     words = found.stdout.split()
     assert words[:2] == ["stop", "moves"] and words[3:] == ["stop"]
-    assert found.returncode == -signal.Signals[f"SIG{number}"]
+    assert found.returncode == ended(without_robot(KILL.format(number))).returncode
     assert "its stop did not return" in found.stderr
     assert 0.9 < time.monotonic() - float(words[2]) < 8
 

@@ -403,6 +403,7 @@ def test_robot_stops_when_its_program_ends(end: str) -> None:
     plain = ended(without_robot(ENDS[end]))
     assert found.stdout.split() == ["stop", "moves", *plain.stdout.split(), "stop"]
     assert found.returncode == plain.returncode
+    assert found.stderr.splitlines()[-1:] == plain.stderr.splitlines()[-1:]  # the same error
 
 
 @pytest.mark.slow
@@ -419,6 +420,7 @@ def test_stop_that_blocks_delays_a_signal_by_a_second(number: str) -> None:
     assert words[:2] == ["stop", "moves"] and words[3:] == ["stop"]
     assert found.returncode == ended(without_robot(KILL.format(number))).returncode
     assert "its stop did not return" in found.stderr
+    assert found.stderr.endswith("KeyboardInterrupt\n") is (number == "INT")
     assert 0.9 < time.monotonic() - float(words[2]) < 8
 
 

@@ -21,12 +21,11 @@ from reproduction.improvement import IMPROVEMENT_STUDY
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE, NOISY_ROBOTS
 from reproduction.own_parts import OWN_PARTS
-from reproduction.peers import PEERS_STUDY
+from reproduction.peers import PEERS_STUDIES
 from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.pilco_gymnasium import PILCO_GYMNASIUM
 from reproduction.pilco_scenarios import PILCO_CART_DOUBLE, PILCO_SCENARIOS
 from reproduction.reaching import REACHING
-from reproduction.recorded_peers import RECORDED_PEERS
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
@@ -60,8 +59,7 @@ PAPER = {
         BIOROB_HISTORY,
         NOISE,
         NOISY_ROBOTS,
-        PEERS_STUDY,
-        RECORDED_PEERS,
+        *PEERS_STUDIES,
         SENSITIVITY,
         PENDUBOT,
         ACROBOT,

@@ -1,7 +1,8 @@
 """Ours beside its peers: learners from states alone, on the same robots with the same experience.
 
 All see the same exploration, starts and demonstrations, act at the same rate, and are measured from
-the same fresh starts. What is compared is the success rate with so many seconds of experience.
+the same fresh starts. What is compared is the success rate with so many seconds of experience. Each
+task is a study of its own, since all of them take hours.
 
 Settings of the peers are those of ``results/paper/peers/tuning_PEER_TASK.json``, where there is
 one, and else their own.
@@ -17,7 +18,7 @@ from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
-from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_numbers
+from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_figure, success_numbers
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.runs.summaries import SuccessCurve
@@ -79,91 +80,116 @@ def peer(
 
 
 ALONE = Method("ours", OURS)
-TASKS: dict[str, tuple[Method, ...]] = {
-    "double_pendulum": (
-        ALONE,
-        peer("gp_tracker", action_weight=1.0),
-        peer("mc_pilco", confirmations=2),
-        peer("ensemble_cem"),
-        peer("bco_told", noise=0.3),
-        peer("bco"),
-        peer("gaifo"),
-        peer("bco_told", factor=100, noise=0.3),
-        peer("bco", factor=100),
-        peer("gaifo", factor=100),
-    ),
-    "double_pendulum_servo": (
-        ALONE,
-        peer("gp_tracker", action_weight=100.0),
-        peer("ensemble_cem", **LARGE_PLANNER),
-        peer("bco_told", noise=0.03),
-        peer("bco", noise=0.03),
-        peer("gaifo"),
-    ),
-    "Sshape": (
-        ALONE,
-        peer("gp_tracker", action_weight=1.0),
-        peer("ensemble_cem", **LARGE_PLANNER),
-        peer("bco", noise=0.03),
-        peer("gaifo"),
-    ),
-    "biorob": (
-        ALONE,
-        peer("gp_tracker", action_weight=1.0),
-        peer("ensemble_cem", **LARGE_PLANNER),
-        peer("bco", noise=0.03),
-        peer("gaifo", penalty=10.0),
-    ),
-    "pendubot": (
-        ALONE,
-        peer("gp_tracker", action_weight=10.0),
-        peer("ensemble_cem"),
-        peer("bco", noise=0.03),
-        peer("gaifo"),
-    ),
-    "cart_pole": (
-        ALONE,
-        peer("gp_tracker", action_weight=10.0),
-        peer("bco", noise=0.3),
-    ),
-}
 
 
-def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """Those of each task, by each method, of each seed."""
-    seeds, end = (QUICK_SEEDS, QUICK_END) if quick else (SEEDS, TIMES[-1])
-    return [
-        method.run(root, task, seed, end)
-        for task, methods in TASKS.items()
-        for method in methods
-        for seed in seeds
-    ]
+@dataclass(frozen=True)
+class Comparison:
+    """Ours beside peers on one task.
 
+    Args:
+        task: its name.
+        peers: those that learn it.
+    """
 
-def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Success over experience of each method on each task, and by how much ours is ahead."""
-    seeds = len(QUICK_SEEDS if quick else SEEDS)
-    headline: dict[str, float | None] = {"seeds": seeds}
-    details: dict[str, object] = {}
-    left = list(folders)
-    for task, methods in TASKS.items():
-        count = seeds * len(methods)
-        own, left = left[:count], left[count:]
-        curves = success_curves(own, [method.label for method in methods])
+    task: str
+    peers: tuple[Method, ...]
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """Ours, then the peers."""
+        return (ALONE, *self.peers)
+
+    def needed_runs(self, root: Path, quick: bool) -> list[Run]:
+        """Those by each method, of each seed."""
+        seeds, end = (QUICK_SEEDS, QUICK_END) if quick else (SEEDS, TIMES[-1])
+        return [method.run(root, self.task, seed, end) for method in self.methods for seed in seeds]
+
+    def results(self, folders: Sequence[Path], quick: bool) -> Results:
+        """Success over experience of each method, and by how much ours is ahead."""
+        curves = success_curves(folders, [method.label for method in self.methods])
+        headline: dict[str, float | None] = {"seeds": len(folders) // len(self.methods)}
         headline |= {
-            f"{quantity}_{task}_{method.name}": value
-            for method in methods
+            f"{quantity}_{method.name}": value
+            for method in self.methods
             for quantity, value in _numbers(method, curves[method.label]).items()
         }
-        ours, *others = methods
-        details[task] = {
-            "curves": success_numbers(curves),
-            "ahead": {
-                other.label: ahead(curves[ours.label], curves[other.label], TIMES, other.factor)
-                for other in others
-            },
+        leads = {
+            peer.label: ahead(curves[OURS], curves[peer.label], TIMES, peer.factor)
+            for peer in self.peers
         }
-    return Results(headline, {}, details)
+        figures = {"success": success_figure(curves)}
+        return Results(headline, figures, {"curves": success_numbers(curves), "ahead": leads})
+
+
+COMPARISONS = {
+    "double_pendulum": Comparison(
+        "double_pendulum",
+        (
+            peer("gp_tracker", action_weight=1.0),
+            peer("mc_pilco", confirmations=2),
+            peer("ensemble_cem"),
+            peer("bco_told", noise=0.3),
+            peer("bco"),
+            peer("gaifo"),
+        ),
+    ),
+    "double_pendulum_servo": Comparison(
+        "double_pendulum_servo",
+        (
+            peer("gp_tracker", action_weight=100.0),
+            peer("mc_pilco", confirmations=2),
+            peer("ensemble_cem", **LARGE_PLANNER),
+            peer("bco_told", noise=0.03),
+            peer("bco", noise=0.03),
+            peer("gaifo"),
+        ),
+    ),
+    "Sshape": Comparison(
+        "Sshape",
+        (
+            peer("gp_tracker", action_weight=1.0),
+            peer("mc_pilco", confirmations=2),
+            peer("ensemble_cem", **LARGE_PLANNER),
+            peer("bco", noise=0.03),
+            peer("gaifo"),
+        ),
+    ),
+    "biorob": Comparison(
+        "biorob",
+        (
+            peer("gp_tracker", action_weight=1.0),
+            peer("mc_pilco", confirmations=2),
+            peer("ensemble_cem", **LARGE_PLANNER),
+            peer("bco", noise=0.03),
+            peer("gaifo", penalty=10.0),
+        ),
+    ),
+    "pendubot": Comparison(
+        "pendubot",
+        (
+            peer("gp_tracker", action_weight=10.0),
+            peer("ensemble_cem"),
+            peer("bco", noise=0.03),
+            peer("gaifo"),
+        ),
+    ),
+    "cart_pole": Comparison(
+        "cart_pole",
+        (
+            peer("gp_tracker", action_weight=10.0),
+            peer("mc_pilco", confirmations=2),
+            peer("bco", noise=0.3),
+        ),
+    ),
+    "100_times": Comparison(
+        "double_pendulum",
+        (
+            peer("bco_told", factor=100, noise=0.3),
+            peer("bco", factor=100),
+            peer("gaifo", factor=100),
+        ),
+    ),
+}
 
 
 def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:
@@ -195,6 +221,12 @@ def ahead(
     return {f"{time:g}s": paired(pairs(time)) for time in times}
 
 
-PEERS_STUDY = PaperExperiment(
-    "peers", "ours beside other learners from states alone", needed_runs, results
+PEERS_STUDIES = tuple(
+    PaperExperiment(
+        f"peers_{name}",
+        f"ours beside other learners from states alone: {name.replace('_', ' ')}",
+        comparison.needed_runs,
+        comparison.results,
+    )
+    for name, comparison in COMPARISONS.items()
 )

@@ -128,7 +128,7 @@ COMPARISONS = {
             peer("gp_tracker", action_weight=1.0),
             peer("mc_pilco", confirmations=2),
             peer("ensemble_cem"),
-            peer("bco_told", noise=0.3),
+            peer("bco_with_velocities", noise=0.3),
             peer("bco"),
             peer("gaifo"),
         ),
@@ -139,7 +139,7 @@ COMPARISONS = {
             peer("gp_tracker", action_weight=100.0),
             peer("mc_pilco", confirmations=2),
             peer("ensemble_cem", **LARGE_PLANNER),
-            peer("bco_told", noise=0.03),
+            peer("bco_with_velocities", noise=0.03),
             peer("bco", noise=0.03),
             peer("gaifo"),
         ),
@@ -168,6 +168,7 @@ COMPARISONS = {
         "pendubot",
         (
             peer("gp_tracker", action_weight=10.0),
+            peer("mc_pilco", confirmations=2),
             peer("ensemble_cem"),
             peer("bco", noise=0.03),
             peer("gaifo"),
@@ -184,7 +185,7 @@ COMPARISONS = {
     "100_times": Comparison(
         "double_pendulum",
         (
-            peer("bco_told", factor=100, noise=0.3),
+            peer("bco_with_velocities", factor=100, noise=0.3),
             peer("bco", factor=100),
             peer("gaifo", factor=100),
         ),

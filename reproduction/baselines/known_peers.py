@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from reproduction.baselines.bco import BCO
+from reproduction.baselines.bco_with_velocities import BCOWithVelocities
 from reproduction.baselines.ensemble_cem import EnsembleCEM
 from reproduction.baselines.gaifo import GAIfO
 from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.mc_pilco import MCPilco
 from reproduction.baselines.peer import Peer
-from reproduction.baselines.told_bco import ToldBCO
 from reproduction.handwriting import written
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 PEERS: dict[str, type[Peer]] = {
-    peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, ToldBCO, GAIfO, MCPilco)
+    peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, BCOWithVelocities, GAIfO, MCPilco)
 }
 
 

@@ -7,33 +7,32 @@ from pathlib import Path
 import pytest
 
 from reproduction.baselines.known_peers import named, trials_until
-from reproduction.peers import TASKS, TIMES, needed_runs, results
+from reproduction.peers import COMPARISONS, TIMES, Comparison
 from tests.helpers.summaries import leave_summary, trial
 from torch_pmil.files import read_json
 
 TUNING = Path(__file__).parents[2] / "results" / "paper" / "peers"
+EACH = pytest.mark.parametrize("comparison", COMPARISONS.values(), ids=COMPARISONS)
 
 
-def test_all_methods_learn_each_task_on_the_same_seeds(tmp_path: Path) -> None:
-    runs = needed_runs(tmp_path, quick=False)
-    each = sum(map(len, TASKS.values()))
-    assert len({run.out for run in runs}) == len(runs) == 10 * each
-
-
-def test_methods_of_a_task_have_names_and_labels_of_their_own_and_ours_is_the_first() -> None:
-    for methods in TASKS.values():
-        assert methods[0].name == "ours"
-        for attribute in ("name", "label"):
-            assert len({getattr(method, attribute) for method in methods}) == len(methods)
+@EACH
+def test_all_methods_learn_on_the_same_seeds_and_ours_is_the_first(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    methods, runs = comparison.methods, comparison.needed_runs(tmp_path, quick=False)
+    assert len({run.out for run in runs}) == len(runs) == 10 * len(methods)
+    assert methods[0].name == "ours"
+    for attribute in ("name", "label"):
+        assert len({getattr(method, attribute) for method in methods}) == len(methods)
 
 
 def test_peers_have_the_settings_that_were_best_on_other_seeds() -> None:
     compared = 0
-    for task, methods in TASKS.items():
-        for method in filter(lambda method: method.peer, methods):
-            tuning = TUNING / f"tuning_{method.peer.name}_{task}.json"
+    for comparison in COMPARISONS.values():
+        for method in comparison.peers:
+            tuning = TUNING / f"tuning_{method.name.removesuffix('_100x')}_{comparison.task}.json"
             if tuning.exists():
-                assert read_json(tuning)["best"]["settings"] == method.settings, (task, method.name)
+                assert read_json(tuning)["best"]["settings"] == method.settings, method.name
                 compared += 1
     assert compared > 10
 
@@ -47,35 +46,33 @@ def test_last_trial_learns_from_the_experience_that_is_compared(name: str) -> No
     assert TIMES[-1] - period * steps < last <= TIMES[-1] + 1e-9
 
 
-def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
+@EACH
+def test_numbers_are_those_of_the_runs(comparison: Comparison, tmp_path: Path) -> None:
     """Ours succeeds from 20 s on, each other in half of the starts of even seeds.
 
     With more experience it is so at as many times as much.
     """
-    runs = needed_runs(tmp_path, quick=False)
-    ours = {named(task).name for task in TASKS}
-    for run in runs:
-        seed, name = int(run.out.name.removeprefix("seed_")), run.out.parent.name
-        rate = 1.0 if name in ours else 0.5 * (seed % 2 == 0)
-        factor = 100 if name.endswith("_100x") else 1
+    runs = comparison.needed_runs(tmp_path, quick=False)
+    methods = [method for method in comparison.methods for _ in range(10)]
+    for method, run in zip(methods, runs, strict=True):
+        seed = int(run.out.name.removeprefix("seed_"))
+        rate = 1.0 if method.peer is None else 0.5 * (seed % 2 == 0)
         trials = [
-            trial(factor * experience, rate * (experience >= 20), own_success=False)
+            trial(method.factor * experience, rate * (experience >= 20), own_success=False)
             for experience in (10.0, 20.0, 50.0)
         ]
-        numbers = {"experience_s": factor * 50.0, "saved_success_rate": rate, "trials": trials}
-        leave_summary(run.out, experiment=name, seed=seed, **numbers)
-    found = results([run.out for run in runs], quick=False)
+        numbers = {"experience_s": method.factor * 50.0, "saved_success_rate": rate}
+        leave_summary(run.out, experiment="any", seed=seed, trials=trials, **numbers)
+    found = comparison.results([run.out for run in runs], quick=False)
     headline = found.headline
-    for task, methods in TASKS.items():
-        for method in methods:
-            name = f"{task}_{method.name}"
-            rate = 1.0 if method.name == "ours" else 0.25
-            assert headline[f"success_12.5s_{name}"] == 0
-            for time in ("25s", "50s"):
-                assert headline[f"success_{time}_{name}"] == pytest.approx(rate)
-            reached = 20 if method.name == "ours" else None
-            assert headline[f"experience_to_95_{name}"] == reached
-    (label,) = (method.label for method in TASKS["pendubot"] if method.name == "gp_tracker")
-    ahead = found.details["pendubot"]["ahead"][label]["25s"]
-    assert ahead["difference"] == pytest.approx(0.75) and ahead["pairs"] == 10
-    assert ahead["lower"] < 0.75 < ahead["upper"]
+    assert headline["seeds"] == 10 and headline["experience_to_95_ours"] == 20
+    for method in comparison.methods:
+        assert headline[f"success_12.5s_{method.name}"] == 0
+        for time in ("25s", "50s"):
+            rate = 1.0 if method.peer is None else 0.25
+            assert headline[f"success_{time}_{method.name}"] == pytest.approx(rate)
+    for method in comparison.peers:
+        assert headline[f"experience_to_95_{method.name}"] is None
+        ahead = found.details["ahead"][method.label]["25s"]
+        assert ahead["difference"] == pytest.approx(0.75) and ahead["pairs"] == 10
+        assert ahead["lower"] < 0.75 < ahead["upper"]

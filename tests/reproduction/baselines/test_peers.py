@@ -22,7 +22,7 @@ QUICK = {
     "ensemble_cem": {"steps": 3, "candidates": 9},
     "mc_pilco": {"most_steps": 2, "particles": 5, "centres": 10},
     "bco": {"steps": 3},
-    "bco_told": {},
+    "bco_with_velocities": {},
     "gaifo": {"steps": 2},
 }
 
@@ -34,7 +34,7 @@ def short_imitation() -> Task:
     return replace(short, demonstrated_states=states.flatten(0, 1))
 
 
-@pytest.mark.parametrize("name", [name for name in PEERS if name != "bco_told"])
+@pytest.mark.parametrize("name", [name for name in PEERS if name != "bco_with_velocities"])
 @pytest.mark.parametrize("task", ["double_pendulum_servo", "biorob", "Sshape"])
 def test_peer_moves_any_robot_within_its_limits(task: str, name: str) -> None:
     experiment = named(task)

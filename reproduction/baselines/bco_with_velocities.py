@@ -23,7 +23,7 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 
-class ToldBCO(ClonesFromObservation):
+class BCOWithVelocities(ClonesFromObservation):
     """BCO with the demonstrator's velocities, and means of Gaussian processes in both places.
 
     Their hyper-parameters are of maximum marginal likelihood.
@@ -37,8 +37,8 @@ class ToldBCO(ClonesFromObservation):
         ValueError: the experiment has other recordings.
     """
 
-    label: ClassVar[str] = "BCO with GPs, told velocities"
-    name: ClassVar[str] = "bco_told"
+    label: ClassVar[str] = "BCO with GPs, given velocities"
+    name: ClassVar[str] = "bco_with_velocities"
 
     def __init__(self, experiment: Task, seed: int, noise: float = 0.1) -> None:
         super().__init__(experiment, seed, noise)
@@ -49,7 +49,7 @@ class ToldBCO(ClonesFromObservation):
                 f"the recordings must be those of double_pendulum, of which alone the velocities "
                 f"are known, got those of {experiment.name}"
             )
-        self._told = next(record_pairs([0]))[0][:, : shown.shape[1]]
+        self._states = next(record_pairs([0]))[0][:, : shown.shape[1]]
         F = len(experiment.actions.names)
         self.model = GPDynamics(self.inverse_width, F, "successor", PILCO_SIGNAL_TO_NOISE)
         self.clone: StatePolicy | None = None
@@ -57,7 +57,7 @@ class ToldBCO(ClonesFromObservation):
     @property
     def demonstrated_states(self) -> Tensor:
         """The states of the demonstrator (N, T + 1, D)."""
-        return self._told
+        return self._states
 
     def learn_inverse(self, inputs: Tensor, fractions: Tensor) -> None:
         """Fit the Gaussian process."""

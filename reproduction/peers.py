@@ -114,74 +114,58 @@ class Comparison:
             for quantity, value in _numbers(method, curves[method.label]).items()
         }
         leads = {
-            peer.label: ahead(curves[OURS], curves[peer.label], TIMES, peer.factor)
-            for peer in self.peers
+            other.label: _ahead(curves[OURS], curves[other.label], other.factor)
+            for other in self.peers
         }
         figures = {"success": success_figure(curves)}
         return Results(headline, figures, {"curves": success_numbers(curves), "ahead": leads})
 
 
-COMPARISONS = {
-    "double_pendulum": Comparison(
-        "double_pendulum",
-        (
-            peer("gp_tracker", action_weight=1.0),
-            peer("mc_pilco", confirmations=2),
-            peer("ensemble_cem"),
-            peer("bco_with_velocities", noise=0.3),
-            peer("bco"),
-            peer("gaifo"),
-        ),
+PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
+    "double_pendulum": (
+        peer("gp_tracker", action_weight=1.0),
+        peer("mc_pilco", confirmations=2),
+        peer("ensemble_cem"),
+        peer("bco_with_velocities", noise=0.3),
+        peer("bco"),
+        peer("gaifo"),
     ),
-    "double_pendulum_servo": Comparison(
-        "double_pendulum_servo",
-        (
-            peer("gp_tracker", action_weight=100.0),
-            peer("mc_pilco", confirmations=2),
-            peer("ensemble_cem", **LARGE_PLANNER),
-            peer("bco_with_velocities", noise=0.03),
-            peer("bco", noise=0.03),
-            peer("gaifo"),
-        ),
+    "double_pendulum_servo": (
+        peer("gp_tracker", action_weight=100.0),
+        peer("mc_pilco", confirmations=2),
+        peer("ensemble_cem", **LARGE_PLANNER),
+        peer("bco_with_velocities", noise=0.03),
+        peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
-    "Sshape": Comparison(
-        "Sshape",
-        (
-            peer("gp_tracker", action_weight=1.0),
-            peer("mc_pilco", confirmations=2),
-            peer("ensemble_cem", **LARGE_PLANNER),
-            peer("bco", noise=0.03),
-            peer("gaifo"),
-        ),
+    "Sshape": (
+        peer("gp_tracker", action_weight=1.0),
+        peer("mc_pilco", confirmations=2),
+        peer("ensemble_cem", **LARGE_PLANNER),
+        peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
-    "biorob": Comparison(
-        "biorob",
-        (
-            peer("gp_tracker", action_weight=1.0),
-            peer("mc_pilco", confirmations=2),
-            peer("ensemble_cem", **LARGE_PLANNER),
-            peer("bco", noise=0.03),
-            peer("gaifo", penalty=10.0),
-        ),
+    "biorob": (
+        peer("gp_tracker", action_weight=1.0),
+        peer("mc_pilco", confirmations=2),
+        peer("ensemble_cem", **LARGE_PLANNER),
+        peer("bco", noise=0.03),
+        peer("gaifo", penalty=10.0),
     ),
-    "pendubot": Comparison(
-        "pendubot",
-        (
-            peer("gp_tracker", action_weight=10.0),
-            peer("mc_pilco", confirmations=2),
-            peer("ensemble_cem"),
-            peer("bco", noise=0.03),
-            peer("gaifo"),
-        ),
+    "pendubot": (
+        peer("gp_tracker", action_weight=10.0),
+        peer("mc_pilco", confirmations=2),
+        peer("ensemble_cem"),
+        peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
-    "cart_pole": Comparison(
-        "cart_pole",
-        (
-            peer("gp_tracker", action_weight=10.0),
-            peer("mc_pilco", confirmations=2),
-            peer("bco", noise=0.3),
-        ),
+    "cart_pole": (
+        peer("gp_tracker", action_weight=10.0),
+        peer("mc_pilco", confirmations=2),
+        peer("bco", noise=0.3),
     ),
+}
+COMPARISONS = {task: Comparison(task, peers) for task, peers in PEERS_OF.items()} | {
     "100_times": Comparison(
         "double_pendulum",
         (
@@ -189,7 +173,7 @@ COMPARISONS = {
             peer("bco", factor=100),
             peer("gaifo", factor=100),
         ),
-    ),
+    )
 }
 
 
@@ -207,19 +191,17 @@ def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:
     return found
 
 
-def ahead(
-    ours: SuccessCurve, other: SuccessCurve, times: Sequence[float], factor: int = 1
-) -> dict[str, object]:
-    """Success of ours less the other's on the same seeds, with the bootstrap's intervals.
+def _ahead(ours: SuccessCurve, other: SuccessCurve, factor: int) -> dict[str, object]:
+    """Success of ours at ``TIMES`` less that of another on the same seeds, with its interval.
 
-    The other, of which there may be more seeds, had so many times our experience.
+    The other had so many times our experience.
     """
 
     def pairs(time: float) -> list[tuple[float, float]]:
-        theirs = other.rates[: len(ours.rates), other.column(factor * time)]
-        return list(zip(ours.rates[:, ours.column(time)].tolist(), theirs.tolist(), strict=True))
+        rates = ours.rates[:, ours.column(time)], other.rates[:, other.column(factor * time)]
+        return list(zip(*(rate.tolist() for rate in rates), strict=True))
 
-    return {f"{time:g}s": paired(pairs(time)) for time in times}
+    return {f"{time:g}s": paired(pairs(time)) for time in TIMES}
 
 
 PEERS_STUDIES = tuple(

@@ -123,7 +123,7 @@ class Comparison:
 
 PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     "double_pendulum": (
-        peer("gp_tracker", action_weight=1.0),
+        peer("gp_tracker", action_weight=10.0),
         peer("mc_pilco", confirmations=2),
         peer("ensemble_cem"),
         peer("bco_with_velocities", noise=0.3),
@@ -160,7 +160,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
         peer("gaifo"),
     ),
     "cart_pole": (
-        peer("gp_tracker", action_weight=10.0),
+        peer("gp_tracker", action_weight=100.0),
         peer("mc_pilco", confirmations=2),
         peer("bco", noise=0.3),
     ),

@@ -5,7 +5,7 @@ the same fresh starts. What is compared is the success rate with so many seconds
 task is a study of its own, since all of them take hours.
 
 Settings of the peers are those of ``results/paper/peers/tuning_PEER_TASK.json``, where there is
-one, and else their own.
+one, and else their own. The tracker plans on our model, so it is tuned anew when that changes.
 """
 
 from __future__ import annotations

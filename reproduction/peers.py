@@ -153,7 +153,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
         peer("gaifo", penalty=10.0),
     ),
     "pendubot": (
-        peer("gp_tracker", action_weight=10.0),
+        peer("gp_tracker", action_weight=100.0),
         peer("mc_pilco", confirmations=2),
         peer("ensemble_cem"),
         peer("bco", noise=0.03),

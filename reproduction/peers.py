@@ -11,17 +11,18 @@ one, and else their own. The tracker plans on our model, so it is tuned anew whe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
-from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_figure, success_numbers
+from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.runs.summaries import SuccessCurve
+from torch_pmil.tasks.task import Task
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 QUICK_SEEDS, QUICK_END = range(2), 5.0
@@ -48,14 +49,13 @@ class Method:
     factor: int = 1
     confirmations: int | None = None
 
-    def run(self, root: Path, task: str, seed: int, end: float) -> Run:
-        """Its run of a task, over ``end`` seconds of our experience at most.
+    def run(self, root: Path, experiment: Task, seed: int, end: float) -> Run:
+        """Its run of an experiment, over ``end`` seconds of our experience at most.
 
         Example:
-            >>> str(ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
+            >>> str(ALONE.run(Path("runs"), named("double_pendulum"), 3, 50.0).out)
             'runs/peers/double_pendulum/seed_3'
         """
-        experiment = named(task)
         trials = trials_until(end, experiment)
         if self.peer is not None:
             rest = seed, trials, self.factor, self.settings, self.confirmations
@@ -102,7 +102,10 @@ class Comparison:
     def needed_runs(self, root: Path, quick: bool) -> list[Run]:
         """Those by each method, of each seed."""
         seeds, end = (QUICK_SEEDS, QUICK_END) if quick else (SEEDS, TIMES[-1])
-        return [method.run(root, self.task, seed, end) for method in self.methods for seed in seeds]
+        experiment = named(self.task)
+        return [
+            method.run(root, experiment, seed, end) for method in self.methods for seed in seeds
+        ]
 
     def results(self, folders: Sequence[Path], quick: bool) -> Results:
         """Success over experience of each method, and by how much ours is ahead."""
@@ -117,8 +120,8 @@ class Comparison:
             other.label: _ahead(curves[OURS], curves[other.label], other.factor)
             for other in self.peers
         }
-        figures = {"success": success_figure(curves)}
-        return Results(headline, figures, {"curves": success_numbers(curves), "ahead": leads})
+        found = success_results(curves, headline, "success")
+        return replace(found, details={**found.details, "ahead": leads})
 
 
 PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task

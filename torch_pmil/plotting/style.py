@@ -22,7 +22,7 @@ SKY, PURPLE = "#56B4E9", "#CC79A7"  # of the same palette
 DARK = "#1A1A1A"
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE)  # of parts, which hatches tell apart too
 HATCHES = (None, "///", "...", "xxx")
-SERIES = tuple(zip((*COLOURS, DARK), "os^DvpX", strict=True))  # of several lines
+SERIES = tuple(zip((*COLOURS, DARK), "os^DvpX", strict=True))  # colours and markers
 WIDTH = 8.0  # inches, of all figures of a run
 MOST_COLUMNS = 3  # of panels
 FEW = 5  # number of rollouts that are drawn one by one

@@ -16,7 +16,7 @@ from summaries import fill, note_of_older, path_of, provenance, sources, table
 
 
 class ResultsDirective(SphinxDirective):
-    """A table, and below it where its numbers come from."""
+    """A table, and where its numbers come from, below the first table of a page that has them."""
 
     required_arguments = 1
     has_content = True
@@ -33,10 +33,17 @@ class ResultsDirective(SphinxDirective):
             raise self.error(str(error)) from error
         lines = [header, ["---"] * len(header), *rows]
         text = [f"| {' | '.join(cells)} |" for cells in lines]
-        text += [line for name in names for line in ("", provenance(name))]
+        text += [line for name in self._not_yet_named(names) for line in ("", provenance(name))]
         node = nodes.container(classes=["results"])
         self.state.nested_parse(StringList(text, source), self.content_offset, node)
         return [node]
+
+    def _not_yet_named(self, names: list[str]) -> list[str]:
+        """Those summaries of which no table before on this page has said where they come from."""
+        named = self.env.temp_data.setdefault("results_named", set())
+        new = [name for name in names if name not in named]
+        named.update(new)
+        return new
 
 
 class ResultRole(SphinxRole):

@@ -12,11 +12,11 @@ from docutils.parsers.rst.directives import unchanged
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
-from summaries import fill, note_of_older, path_of, provenance, sources, table
+from summaries import fill, is_older, note_of_older, path_of, provenance, sources, table
 
 
 class ResultsDirective(SphinxDirective):
-    """A table, and where its numbers come from, below the first table of a page that has them."""
+    """A table, and below the first one of a page that has them, where its numbers come from."""
 
     required_arguments = 1
     has_content = True
@@ -33,17 +33,17 @@ class ResultsDirective(SphinxDirective):
             raise self.error(str(error)) from error
         lines = [header, ["---"] * len(header), *rows]
         text = [f"| {' | '.join(cells)} |" for cells in lines]
-        text += [line for name in self._not_yet_named(names) for line in ("", provenance(name))]
+        text += [line for name in self._to_name(names) for line in ("", provenance(name))]
         node = nodes.container(classes=["results"])
         self.state.nested_parse(StringList(text, source), self.content_offset, node)
         return [node]
 
-    def _not_yet_named(self, names: list[str]) -> list[str]:
-        """Those summaries of which no table before on this page has said where they come from."""
-        named = self.env.temp_data.setdefault("results_named", set())
-        new = [name for name in names if name not in named]
-        named.update(new)
-        return new
+    def _to_name(self, names: list[str]) -> list[str]:
+        """Summaries that no table before on this page has named, and all of earlier sources."""
+        named = self.env.current_document.setdefault("results_named", set())
+        found = [name for name in names if name not in named or is_older(name)]
+        named.update(names)
+        return found
 
 
 class ResultRole(SphinxRole):

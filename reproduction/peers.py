@@ -70,12 +70,12 @@ def peer(
 
     Example:
         >>> peer("bco", factor=100).name, peer("bco", factor=100).label
-        ('bco_100x', 'BCO, 100 times the experience')
+        ('bco_100x', 'BCO, 100 times')
     """
     learner = PEERS[name]
     label = learner.label
     if factor > 1:
-        name, label = f"{name}_{factor}x", f"{label}, {factor} times the experience"
+        name, label = f"{name}_{factor}x", f"{label}, {factor} times"
     return Method(name, label, learner, settings, factor, confirmations)
 
 

@@ -16,14 +16,13 @@ import contextlib
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
 import torch
 
-from benchmarks.command_line import cpu_seconds, source_of, write_summary
+from benchmarks.command_line import add_json, cpu_seconds, source_of, write_summary
 from benchmarks.workloads import make_problem
 from torch_pmil.model.compiled import objective
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
@@ -32,7 +31,6 @@ from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
 from torch_pmil.model.compiled.small_matrices import copy
 from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, write_features, write_inputs
 
-ROOT = Path(__file__).parents[1]
 HORIZON = 25
 PARTS = {
     "whole": "value and gradient",
@@ -65,12 +63,7 @@ def main() -> None:
         metavar="S",
         help="for which a number of data is measured",
     )
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=ROOT / "results/benchmarks/prediction/breakdown.json",
-        help="to write",
-    )
+    add_json(parser, "breakdown")
     arguments = parser.parse_args()
     source = source_of("breakdown")
     torch.set_num_threads(1)

@@ -30,6 +30,7 @@ from torch_pmil.runs.sources import hash_of_sources
 
 BENCHMARKS = (  # timings first
     "prediction",
+    "breakdown",
     "gp_fit --sizes 100 200 300",
     "kernels",
     "dimensions",

@@ -12,7 +12,8 @@ If their options are given, these steps run in this order: angles are unwrapped 
 they exceed 4 pi), pixels become metres, jumps are removed, all entries are smoothed, velocities are
 derived, and rests at both ends are cut off. Then all are sampled as often as they were recorded,
 aligned by dynamic time warping, and sampled at the robot's time step. Recordings of one duration
-whose stamps jitter or are at the robot's time step are not aligned, unless --window is given.
+whose stamps jitter or are at the robot's time step are not aligned, unless --window or
+--reference is given.
 """
 
 from __future__ import annotations

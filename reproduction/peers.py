@@ -157,7 +157,6 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "pendubot": (
         peer("gp_tracker", action_weight=100.0),
-        peer("mc_pilco", confirmations=2),
         peer("ensemble_cem"),
         peer("bco", noise=0.03),
         peer("gaifo"),

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, ClassVar
@@ -165,12 +166,12 @@ CART_DOUBLE = Scenario(
 )
 
 
-def needed_runs(root: Path, quick: bool) -> list[Run]:
+def needed_runs(scenarios: Mapping[str, Scenario], root: Path, quick: bool) -> list[Run]:
     """Each scenario with each seed."""
     seeds = QUICK_SEEDS if quick else SEEDS
     return [
         learning_run(root, each.task(name), seed, QUICK_TRIALS if quick else each.trials)
-        for name, each in SCENARIOS.items()
+        for name, each in scenarios.items()
         for seed in seeds
     ]
 
@@ -225,13 +226,6 @@ def median_of_learned(summaries: Sequence[Mapping[str, Any]], key: str) -> float
     return finite_median(run[key] if learned(run) else math.inf for run in summaries)
 
 
-def cart_double_runs(root: Path, quick: bool) -> list[Run]:
-    """The cart with the double pendulum with each seed."""
-    task, trials = CART_DOUBLE.task("cart_double"), QUICK_TRIALS if quick else CART_DOUBLE.trials
-    seeds = QUICK_SEEDS if quick else SEEDS
-    return [learning_run(root, task, seed, trials) for seed in seeds]
-
-
 def cart_double_results(folders: Sequence[Path], quick: bool) -> Results:
     """Seeds that learned, and how far the predicted cost, of one for each step, fell."""
     runs = [read_summary(folder) for folder in folders]
@@ -250,9 +244,12 @@ def cart_double_results(folders: Sequence[Path], quick: bool) -> Results:
 PILCO_CART_DOUBLE = PaperExperiment(
     "pilco_cart_double",
     "a cart with a double pendulum, from a cost alone",
-    cart_double_runs,
+    partial(needed_runs, {"cart_double": CART_DOUBLE}),
     cart_double_results,
 )
 PILCO_SCENARIOS = PaperExperiment(
-    "pilco_scenarios", "robots of the PILCO literature, from a cost alone", needed_runs, results
+    "pilco_scenarios",
+    "robots of the PILCO literature, from a cost alone",
+    partial(needed_runs, SCENARIOS),
+    results,
 )

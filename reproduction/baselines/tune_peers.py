@@ -47,7 +47,7 @@ CONFIGURATIONS: dict[str, Sequence[Settings]] = {
     "bco_with_velocities": ({}, {"noise": 0.03}, {"noise": 0.3}),
     "gaifo": ({}, {"penalty": 10.0}, {"steps": 2000}),
     "ensemble_cem": ({}, {"steps": 1000}, {"plan_seconds": 1.6}, LARGE_PLANNER),
-    "mc_pilco": ({}, {"scale": 30.0}, {"scale": 400.0}, {"most_slope": None}),
+    "mc_pilco": ({}, {"scale": 30.0}, {"scale": 1000.0}, {"most_slope": None}),
 }
 
 

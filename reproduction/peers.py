@@ -38,8 +38,6 @@ class Method:
         peer: the learner, None for ours.
         settings: of a peer, other than its own.
         factor: rollouts of a peer in place of each one of ours.
-        confirmations: successes of own rollouts in a row that end a run of a peer, as a promise
-            does ours; None for none.
     """
 
     name: str
@@ -47,7 +45,6 @@ class Method:
     peer: type[Peer] | None = None
     settings: Mapping[str, object] = field(default_factory=dict)
     factor: int = 1
-    confirmations: int | None = None
 
     def run(self, root: Path, experiment: Task, seed: int, end: float) -> Run:
         """Its run of an experiment, over ``end`` seconds of our experience at most.
@@ -58,14 +55,12 @@ class Method:
         """
         trials = trials_until(end, experiment)
         if self.peer is not None:
-            rest = seed, trials, self.factor, self.settings, self.confirmations
+            rest = seed, trials, self.factor, self.settings
             return peer_run(root, experiment, self.peer, *rest)
         return learning_run(root / "peers", experiment, seed, trials)
 
 
-def peer(
-    name: str, factor: int = 1, confirmations: int | None = None, **settings: object
-) -> Method:
+def peer(name: str, factor: int = 1, **settings: object) -> Method:
     """A peer, with settings other than its own, or with so many times our experience.
 
     Example:
@@ -76,7 +71,7 @@ def peer(
     label = learner.label
     if factor > 1:
         name, label = f"{name}_{factor}x", f"{label}, {factor} times"
-    return Method(name, label, learner, settings, factor, confirmations)
+    return Method(name, label, learner, settings, factor)
 
 
 ALONE = Method("ours", OURS)
@@ -127,7 +122,7 @@ class Comparison:
 PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     "double_pendulum": (
         peer("gp_tracker", action_weight=10.0),
-        peer("mc_pilco", confirmations=2),
+        peer("mc_pilco"),
         peer("ensemble_cem"),
         peer("bco_with_velocities", noise=0.3),
         peer("bco"),
@@ -135,7 +130,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "double_pendulum_servo": (
         peer("gp_tracker", action_weight=100.0),
-        peer("mc_pilco", confirmations=2),
+        peer("mc_pilco"),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco_with_velocities", noise=0.03),
         peer("bco", noise=0.03),
@@ -143,14 +138,14 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "Sshape": (
         peer("gp_tracker", action_weight=1.0),
-        peer("mc_pilco", confirmations=2),
+        peer("mc_pilco"),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco", noise=0.03),
         peer("gaifo"),
     ),
     "biorob": (
         peer("gp_tracker", action_weight=1.0),
-        peer("mc_pilco", confirmations=2),
+        peer("mc_pilco"),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco", noise=0.03),
         peer("gaifo", penalty=10.0),
@@ -163,7 +158,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "cart_pole": (
         peer("gp_tracker", action_weight=100.0),
-        peer("mc_pilco", confirmations=2),
+        peer("mc_pilco"),
         peer("bco", noise=0.3),
     ),
 }

@@ -68,6 +68,7 @@ class MCPilco(ModelPeer):
 
     label: ClassVar[str] = "particles, as MC-PILCO"
     name: ClassVar[str] = "mc_pilco"
+    confirmations: ClassVar[int | None] = 2
 
     def __init__(
         self,

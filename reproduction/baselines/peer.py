@@ -22,10 +22,13 @@ class Peer(ABC):
         seed: of all its random numbers; same seed, same learner up to rounding.
 
     ``label`` names the method in figures, ``name`` in folders. ``rollouts`` are its own so far.
+    ``confirmations`` successes of own rollouts in a row end a run, as a promise does ours; None for
+    none.
     """
 
     label: ClassVar[str]
     name: ClassVar[str]
+    confirmations: ClassVar[int | None] = None
 
     def __init__(self, experiment: Task, seed: int) -> None:
         self.experiment = experiment

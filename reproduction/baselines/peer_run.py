@@ -39,7 +39,6 @@ def peer_run(
     trials: int,
     factor: int = 1,
     settings: Mapping[str, object] | None = None,
-    confirmations: int | None = None,
 ) -> Run:
     """A run of a peer, in its folder below ``root``.
 
@@ -53,7 +52,6 @@ def peer_run(
         trials: number of trials.
         factor: rollouts in place of each one of ours, for as many times our experience.
         settings: other arguments of the peer than its own.
-        confirmations: successes of own rollouts in a row that end the run before; None for none.
 
     Example:
         >>> from reproduction.baselines.bco import BCO
@@ -74,7 +72,6 @@ def peer_run(
         trials=trials,
         factor=factor,
         settings=settings or {},
-        confirmations=confirmations,
     )
     return Run(root / name / f"seed_{seed}", learn)
 
@@ -88,13 +85,12 @@ def _learn(
     trials: int,
     factor: int,
     settings: Mapping[str, object],
-    confirmations: int | None,
 ) -> None:
     begun, source = (time.perf_counter(), time.process_time()), provenance(command)
     out.mkdir(parents=True, exist_ok=True)
     clear_folder(out, overwrite=True)
     practice = Practice(experiment, peer_class(experiment, seed, **settings), seed, factor)
-    rows: list[Measurement] = []
+    rows, confirmations = list[Measurement](), peer_class.confirmations
     write_metrics(own(out, "metrics.csv"), Measurement, rows)
     while len(rows) < trials and not _confirmed(rows, confirmations):
         rows.append(practice.trial(len(rows) + 1))

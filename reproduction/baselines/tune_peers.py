@@ -12,7 +12,7 @@ made by hand before. On the double pendulum these are the cost, plan and learnin
 ensemble (seeds 100, 101 and 150 to 152). With the seeds 100 and 101 they are the limit of the
 particles' slopes, and that the discriminator sees the match space. Handwriting with seed 100
 suggested more candidates and iterations for the ensemble's planner. Particles have half the
-experience of the others, since their searches take longest, and end after two own successes.
+experience of the others, since their searches take longest.
 
 What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in
 runs/SOURCES/tuning.
@@ -40,7 +40,6 @@ from torch_pmil.runs.summaries import read_summary, success_over_experience
 SEEDS = 100, 101
 EXPERIENCE_S = 12.5, 25.0, 50.0  # at which success counts
 LESS_EXPERIENCE = {"mc_pilco": 25.0}
-CONFIRMATIONS = {"mc_pilco": 2}  # as in the studies
 Settings = Mapping[str, object]
 CONFIGURATIONS: dict[str, Sequence[Settings]] = {
     "gp_tracker": tuple({"action_weight": weight} for weight in (1.0, 10.0, 100.0, 1000.0)),
@@ -79,13 +78,13 @@ def needed_runs(root: Path, peer: str, task: str) -> list[list[Run]]:
     """The runs of each configuration, one for each seed."""
     experiment = named(task)
     trials = trials_until(LESS_EXPERIENCE.get(peer, EXPERIENCE_S[-1]), experiment)
-    confirmations = CONFIRMATIONS.get(peer)
-
-    def run_of(settings: Settings, seed: int) -> Run:
-        out, learner = root / folder(settings), PEERS[peer]
-        return peer_run(out, experiment, learner, seed, trials, 1, settings, confirmations)
-
-    return [[run_of(settings, seed) for seed in SEEDS] for settings in CONFIGURATIONS[peer]]
+    return [
+        [
+            peer_run(root / folder(settings), experiment, PEERS[peer], seed, trials, 1, settings)
+            for seed in SEEDS
+        ]
+        for settings in CONFIGURATIONS[peer]
+    ]
 
 
 def folder(settings: Settings) -> str:

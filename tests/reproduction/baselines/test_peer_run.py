@@ -95,8 +95,9 @@ def test_run_ends_when_its_rollouts_succeed_and_keeps_the_policy_that_did(
         def fit(self) -> None:
             counted.append(len(self.rollouts))
 
+    Counting.confirmations = confirmations
     experiment = replace(short_experiment(), tolerance=tolerance)
-    run = peer_run(tmp_path, experiment, Counting, SEED, 3, confirmations=confirmations)
+    run = peer_run(tmp_path, experiment, Counting, SEED, 3)
     run.learn(run.out, "")
     summary = read_summary(run.out)
     assert (len(summary["trials"]), summary["saved_trial"], len(counted)) == (trials, trials, fits)

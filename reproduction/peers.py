@@ -122,7 +122,7 @@ class Comparison:
 PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     "double_pendulum": (
         peer("gp_tracker", action_weight=10.0),
-        peer("mc_pilco"),
+        peer("mc_pilco", scale=30.0),
         peer("ensemble_cem"),
         peer("bco_with_velocities", noise=0.3),
         peer("bco"),

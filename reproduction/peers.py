@@ -138,7 +138,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "Sshape": (
         peer("gp_tracker", action_weight=1.0),
-        peer("mc_pilco"),
+        peer("mc_pilco", scale=1000.0),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco", noise=0.03),
         peer("gaifo"),
@@ -158,7 +158,7 @@ PEERS_OF: dict[str, tuple[Method, ...]] = {  # by the task
     ),
     "cart_pole": (
         peer("gp_tracker", action_weight=100.0),
-        peer("mc_pilco"),
+        peer("mc_pilco", most_slope=None),
         peer("bco", noise=0.3),
     ),
 }

@@ -55,8 +55,7 @@ class Method:
         """
         trials = trials_until(end, experiment)
         if self.peer is not None:
-            rest = seed, trials, self.factor, self.settings
-            return peer_run(root, experiment, self.peer, *rest)
+            return peer_run(root, experiment, self.peer, seed, trials, self.factor, self.settings)
         return learning_run(root / "peers", experiment, seed, trials)
 
 
